@@ -1,4 +1,5 @@
-"""``python -m benchmarks``: suites of runs (``run``), their tables, the scoreboard, training and speed.
+"""``python -m benchmarks``: suites of runs (``run``), their tables, the scoreboard, training and
+speed.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -29,7 +30,9 @@ app = typer.Typer(
 _GO_ON = "run", "scoreboard"
 
 Folders = Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")]
-Workers = Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")]
+Workers = Annotated[
+    int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")
+]
 Retry = Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")]
 
 
@@ -56,8 +59,12 @@ def _end(summary: "Summary", lines: Iterable[str]) -> int:
 def run(
     suite: Annotated[str, typer.Option(help="Name of a suite, or a FILE.toml.")],
     workers: Workers = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/suite-NAME")] = None,
-    timeout: Annotated[float, typer.Option(help="Wall-clock time after which a job has failed, s.")] = 3600.0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results.", show_default="runs/suite-NAME")
+    ] = None,
+    timeout: Annotated[
+        float, typer.Option(help="Wall-clock time after which a job has failed, s.")
+    ] = 3600.0,
     first_seed: Annotated[
         int | None,
         typer.Option(
@@ -103,15 +110,25 @@ def train(
 @app.command()
 def scoreboard(
     out: Annotated[Path, typer.Argument(help="Folder of the results.")],
-    rows: Annotated[str, typer.Option(help='Names of rows, with commas; "drive*" for all that begin so.')] = "",
+    rows: Annotated[
+        str, typer.Option(help='Names of rows, with commas; "drive*" for all that begin so.')
+    ] = "",
     against: Annotated[
-        Path | None, typer.Option(help="Compare with this scoreboard.json, or the folder of one.", show_default="none")
+        Path | None,
+        typer.Option(
+            help="Compare with this scoreboard.json, or the folder of one.", show_default="none"
+        ),
     ] = None,
-    jitter: Annotated[float, typer.Option(min=0.0, help="Further noise of recorded ranges, m.")] = 0.0,
-    unused: Annotated[bool, typer.Option("--unused", help="The seeds of figures that are published.")] = False,
+    jitter: Annotated[
+        float, typer.Option(min=0.0, help="Further noise of recorded ranges, m.")
+    ] = 0.0,
+    unused: Annotated[
+        bool, typer.Option("--unused", help="The seeds of figures that are published.")
+    ] = False,
     workers: Workers = None,
     rows_file: Annotated[
-        Path | None, typer.Option(help="Rows of your own, a TOML file.", show_default="the shipped ones")
+        Path | None,
+        typer.Option(help="Rows of your own, a TOML file.", show_default="the shipped ones"),
     ] = None,
     retry_failed: Retry = False,
 ) -> int:
@@ -122,12 +139,21 @@ def scoreboard(
 
     before = None if against is None else read_board(against)
     board, summary, skipped = run_scoreboard(
-        read_rows(rows_file or SHIPPED), _names(rows), out, _processes(workers),
-        unused=unused, jitter=jitter, retry_failed=retry_failed,
-    )  # fmt: skip
+        read_rows(rows_file or SHIPPED),
+        _names(rows),
+        out,
+        _processes(workers),
+        unused=unused,
+        jitter=jitter,
+        retry_failed=retry_failed,
+    )
     for name in skipped:
-        typer.echo(f"left out: {name}: it needs the folder of recorded data: set LIMSLAM_DATA", err=True)
-    against_it = [] if before is None else ["", *comparison_table(compared(before["cells"], board["cells"]))]
+        typer.echo(
+            f"left out: {name}: it needs the folder of recorded data: set LIMSLAM_DATA", err=True
+        )
+    against_it = (
+        [] if before is None else ["", *comparison_table(compared(before["cells"], board["cells"]))]
+    )
     counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
     return _end(summary, [*table(board), *against_it, "", f"scoreboard: {counts}; {out / FILE}"])
 
@@ -143,9 +169,12 @@ def table(folders: Folders) -> None:
 
 @app.command()
 def speed(
-    device: Annotated[Literal["cpu", "cuda"], typer.Option(help="cuda: only batches, on a GPU.")] = "cpu",
+    device: Annotated[
+        Literal["cpu", "cuda"], typer.Option(help="cuda: only batches, on a GPU.")
+    ] = "cpu",
     processor_time: Annotated[
-        bool, typer.Option("--processor-time", help="Count processor time, for a machine that is busy.")
+        bool,
+        typer.Option("--processor-time", help="Count processor time, for a machine that is busy."),
     ] = False,
 ) -> None:
     """Measure the speed of environments, batches, beliefs and runs."""
@@ -160,13 +189,17 @@ def speed(
 
 
 def main() -> None:
-    """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130 stopped."""
+    """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130
+    stopped.
+    """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     goes_on = next(iter(sys.argv[1:]), "") in _GO_ON
     run_command(
         app,
         "benchmarks",
-        interrupted="stopped; what is done is kept, and the same command goes on" if goes_on else "stopped",
+        interrupted="stopped; what is done is kept, and the same command goes on"
+        if goes_on
+        else "stopped",
     )
 
 

@@ -1,7 +1,7 @@
 """How fast environments, batches, beliefs and a run are, beside others in the same process.
 
-A shared machine changes its speed from second to second. So candidates take turns in short bursts. A burst of each
-makes a round, ratios are taken within a round, and the median of the rounds counts.
+A shared machine changes its speed from second to second. So candidates take turns in short bursts.
+A burst of each makes a round, ratios are taken within a round, and the median of the rounds counts.
 """
 
 import itertools
@@ -33,7 +33,8 @@ BURST = 0.02
 DEVICE_COUNTS = 4096, 65_536, 1_048_576
 _ROUNDS, _RUNS, _DEVICE_BURSTS = 40, 5, 7
 _STEPS = 200  # of a burst of one environment
-_FIRST = 400  # steps before batches are timed: in the first ones, far more is seen for the first time than later
+# steps before batches are timed: in the first ones, far more is seen for the first time than later
+_FIRST = 400
 
 _FIRST_STEP = """
 import time
@@ -45,7 +46,9 @@ print(time.process_time())
 """
 
 
-def rates_in_turn(candidates: dict[str, Loop], rounds: int, clock: Clock = time.perf_counter) -> dict[str, FloatArray]:
+def rates_in_turn(
+    candidates: dict[str, Loop], rounds: int, clock: Clock = time.perf_counter
+) -> dict[str, FloatArray]:
     """Steps a second of each candidate in each round (rounds,)."""
     found: dict[str, list[float]] = {name: [] for name in candidates}
     for loop in candidates.values():
@@ -68,7 +71,9 @@ def single_loop() -> Loop:
     """Steps of a single-robot environment, with autoreset."""
     env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02)
     env.reset(seed=0)
-    actions = itertools.cycle(np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)).astype(np.float32))
+    actions = itertools.cycle(
+        np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)).astype(np.float32)
+    )
 
     def run() -> int:
         for _ in range(_STEPS):
@@ -81,7 +86,9 @@ def single_loop() -> Loop:
 
 
 def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
-    """Steps of a batch, with autoreset, after its first ones. A call returns how many environment-steps it did."""
+    """Steps of a batch, with autoreset, after its first ones. A call returns how many
+    environment-steps it did.
+    """
     envs.reset(seed=0)
     envs.action_space.seed(0)
     actions = itertools.cycle([envs.action_space.sample() for _ in range(8)])
@@ -97,15 +104,20 @@ def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
 
 def batch_loop(count: int, steps: int, **arguments: Any) -> Loop:
     """Steps of a batch of our environments with 2 cm noise."""
-    return vector_loop(gym.make_vec("LimSlam-Env1-v0", num_envs=count, sensor_noise=0.02, **arguments), steps)
+    return vector_loop(
+        gym.make_vec("LimSlam-Env1-v0", num_envs=count, sensor_noise=0.02, **arguments), steps
+    )
 
 
 def belief_loop(num_envs: int, steps: int) -> Loop:
     """Steps of a batch with beliefs as observations, after its first ones.
 
-    The robots drive ahead in a slight bend, and turn away from what is near: their maps grow as those of explorers do.
+    The robots drive ahead in a slight bend, and turn away from what is near: their maps grow as
+    those of explorers do.
     """
-    envs = SlamVectorObservation(gym.make_vec("LimSlam-Env1-v0", num_envs=num_envs, sensor_noise=0.02))
+    envs = SlamVectorObservation(
+        gym.make_vec("LimSlam-Env1-v0", num_envs=num_envs, sensor_noise=0.02)
+    )
     seen, _ = envs.reset(seed=0)
 
     def run(number: int = steps) -> int:
@@ -119,11 +131,14 @@ def belief_loop(num_envs: int, steps: int) -> Loop:
     return run
 
 
-def times_faster(world: str, runs: int, clock: Clock = time.process_time, max_time: float = 1800.0) -> float:
-    """Simulated time over the time of an exploring agent, as ``limslam run`` drives it: the median of some runs.
+def times_faster(
+    world: str, runs: int, clock: Clock = time.process_time, max_time: float = 1800.0
+) -> float:
+    """Simulated time over the time of an exploring agent, as ``limslam run`` drives it: the median
+    of some runs.
 
-    The start of the program, the final smoothing and the pictures are left out, and so is a first run, which loads
-    what is needed.
+    The start of the program, the final smoothing and the pictures are left out, and so is a first
+    run, which loads what is needed.
     """
     found = []
     for seed in range(runs + 1):
@@ -134,19 +149,27 @@ def times_faster(world: str, runs: int, clock: Clock = time.process_time, max_ti
 
 
 def first_step() -> float:
-    """Processor time from the start of a process to its first step in an environment, s: the best of three."""
+    """Processor time from the start of a process to its first step in an environment, s: the best
+    of three.
+    """
     command = [sys.executable, "-c", _FIRST_STEP]
-    return min(float(subprocess.run(command, check=True, capture_output=True).stdout) for _ in range(3))  # noqa: S603
+    runs = (subprocess.run(command, check=True, capture_output=True) for _ in range(3))  # noqa: S603
+    return min(float(run.stdout) for run in runs)
 
 
 def print_rates(clock: Clock, rounds: int = _ROUNDS) -> None:
-    """Print Markdown tables: rates of all candidates, and what this version should reach and has reached."""
+    """Print Markdown tables: rates of all candidates, and what this version should reach and has
+    reached.
+    """
     cartpole = gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")
     candidates = {
-        CARTPOLE: vector_loop(cartpole, 20), SINGLE: single_loop(),
-        "batch of 1024": batch_loop(1024, 20), LARGE: batch_loop(8192, 4),
-        f"{LARGE}, one thread": batch_loop(8192, 4, num_threads=1), BELIEFS: belief_loop(256, 2),
-    }  # fmt: skip
+        CARTPOLE: vector_loop(cartpole, 20),
+        SINGLE: single_loop(),
+        "batch of 1024": batch_loop(1024, 20),
+        LARGE: batch_loop(8192, 4),
+        f"{LARGE}, one thread": batch_loop(8192, 4, num_threads=1),
+        BELIEFS: belief_loop(256, 2),
+    }
     rates = rates_in_turn(candidates, rounds, clock)
     references = {CARTPOLE: "CartPole", SINGLE: "single"}
     print("| candidate | steps/s |" + "".join(f" x {short} |" for short in references.values()))
@@ -176,7 +199,10 @@ def _device_rates(count: int) -> list[float]:
     """Steps a second of a batch on a GPU in some bursts of half a second."""
     envs: Any = gym.make_vec("LimSlam-Env1-v0", num_envs=count, sensor_noise=0.02, device="cuda")
     generator = np.random.default_rng(0)
-    actions = [envs.to_device(generator.uniform(-1.0, 1.0, (count, 2)).astype(np.float32)) for _ in range(8)]
+    actions = [
+        envs.to_device(generator.uniform(-1.0, 1.0, (count, 2)).astype(np.float32))
+        for _ in range(8)
+    ]
     envs.reset(seed=0)
 
     def rate(steps: int) -> float:

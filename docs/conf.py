@@ -39,7 +39,8 @@ html_theme_options = {
     "dark_css_variables": {"color-brand-primary": "#7fb6e6", "color-brand-content": "#7fb6e6"},
 }
 
-# The pages are written for GitHub's Markdown as well, where a formula is a block of code named math.
+# The pages are written for GitHub's Markdown as well, where a formula is a block of code named
+# math.
 myst_enable_extensions = ["amsmath", "colon_fence", "dollarmath"]
 myst_fence_as_directive = ["math"]
 myst_heading_anchors = 4
@@ -75,7 +76,9 @@ def rewrite_links(text: str, folder: Path) -> str:
     def rewritten(match: re.Match[str]) -> str:
         target, _, anchor = match[1].partition("#")
         path = (folder / target).resolve()
-        outside = path.relative_to(FOLDER.parent).as_posix() if path.is_relative_to(FOLDER.parent) else ""
+        outside = (
+            path.relative_to(FOLDER.parent).as_posix() if path.is_relative_to(FOLDER.parent) else ""
+        )
         if not target or "://" in target or not path.exists():
             return match[0]
         if outside == "README.md":
@@ -96,7 +99,9 @@ def rewrite_links(text: str, folder: Path) -> str:
 def markdown_of_docstring(
     _app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]
 ) -> None:
-    """Change what is Markdown in a docstring, as in Gymnasium, to reStructuredText: headings, tables and code."""
+    """Change what is Markdown in a docstring, as in Gymnasium, to reStructuredText: headings,
+    tables and code.
+    """
     changed: list[str] = []
     inside = False
     for line in lines:
@@ -108,7 +113,10 @@ def markdown_of_docstring(
             changed += ["", f"{indent}.. list-table::", f"{indent}   :header-rows: 1", ""]
         if is_row and not set(text) <= set("|-: "):
             cells = [cell.strip() for cell in text[1:-1].split("|")]
-            changed += [f"{indent}   {'* -' if number == 0 else '  -'} {cell}" for number, cell in enumerate(cells)]
+            changed += [
+                f"{indent}   {'* -' if number == 0 else '  -'} {cell}"
+                for number, cell in enumerate(cells)
+            ]
         elif text.startswith("## "):
             changed += ["", f"{indent}.. rubric:: {text[3:]}", ""]
         elif not is_row:
@@ -118,11 +126,24 @@ def markdown_of_docstring(
 
 
 def make_example(app: Sphinx, error: Exception | None) -> None:
-    """Write the page of a short run that the pages for students link to, once for each folder of the site."""
+    """Write the page of a short run that the pages for students link to, once for each folder of
+    the site.
+    """
     target = Path(app.outdir) / EXAMPLE
     if error is not None or app.builder.name != "html" or target.exists():
         return
-    drive = ("--world", "env1", "--noise", "0.02", "--seed", "100", "--until", "seen", "--max-time", "120")
+    drive = (
+        "--world",
+        "env1",
+        "--noise",
+        "0.02",
+        "--seed",
+        "100",
+        "--until",
+        "seen",
+        "--max-time",
+        "120",
+    )
     with tempfile.TemporaryDirectory() as place:
         run = Path(place) / "run"
         for arguments in (("run", *drive, "--out", run), ("inspect", run, "--out", target)):

@@ -1,10 +1,12 @@
-"""The loop for a live robot: read wheels and ranges from anywhere, call the agent, send wheel speeds.
+"""The loop for a live robot: read wheels and ranges from anywhere, call the agent, send wheel
+speeds.
 
     python examples/live_robot.py --out my_room
 
-``FakeRobot`` replaces a real robot: it moves and measures in an empty room. For your robot, write a class with the same
-four methods that talks to it (by a serial port, a UDP socket, or a ROS node), describe its beams in ``SPEC``, and keep
-the loop. This file imports nothing of the simulator, so it also runs on the robot.
+``FakeRobot`` replaces a real robot: it moves and measures in an empty room. For your robot, write a
+class with the same four methods that talks to it (by a serial port, a UDP socket, or a ROS node),
+describe its beams in ``SPEC``, and keep the loop. This file imports nothing of the simulator, so it
+also runs on the robot.
 """
 
 import argparse
@@ -18,7 +20,8 @@ import numpy as np
 from limslam_agent import LimSlamAgent, preset, save_map
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
-# Measure your robot: radius and axle in m, top speed in m/s, time between two readings in s, the beams' angles in deg.
+# Measure your robot: radius and axle in m, top speed in m/s, time between two readings in s, the
+# beams' angles in deg.
 RADIUS = 0.08
 SPEC = RobotSpec(
     radius=RADIUS,
@@ -38,7 +41,9 @@ class Robot(Protocol):
         """Left and right wheel travel since the last call, m (ticks times metres per tick)."""
 
     def read_ranges(self) -> list[float]:
-        """The reading of each beam of ``SPEC``, m; infinity where it saw nothing, and NaN where there is no reading."""
+        """The reading of each beam of ``SPEC``, m; infinity where it saw nothing, and NaN where
+        there is no reading.
+        """
 
     def send_wheel_speeds(self, left: float, right: float) -> None:
         """Set the wheel speeds, m/s, until the next call."""
@@ -50,8 +55,9 @@ class Robot(Protocol):
 class FakeRobot:
     """A robot in an empty room of 3 x 2 m. Replace it with your own.
 
-    With a serial port ``read_ranges`` might be ``[float(word) for word in port.readline().split()]``, and
-    ``send_wheel_speeds`` might be ``port.write(b"%.3f %.3f;" % (left, right))``.
+    With a serial port ``read_ranges`` might be ``[float(word) for word in
+    port.readline().split()]``, and ``send_wheel_speeds`` might be ``port.write(b"%.3f %.3f;" %
+    (left, right))``.
     """
 
     ROOM = np.array([3.0, 2.0])
@@ -63,7 +69,9 @@ class FakeRobot:
 
     def read_wheels(self) -> tuple[float, float]:
         """Encoders have a variance per metre of travel."""
-        told = self._travel + self._random.normal(size=2) * np.sqrt(WHEEL_VARIANCE * np.abs(self._travel))
+        told = self._travel + self._random.normal(size=2) * np.sqrt(
+            WHEEL_VARIANCE * np.abs(self._travel)
+        )
         self._travel = np.zeros(2)
         return float(told[0]), float(told[1])
 
@@ -76,7 +84,9 @@ class FakeRobot:
             start = np.array([x, y]) + RADIUS * np.array([math.cos(angle), math.sin(angle)])
             towards = np.array([math.cos(angle), math.sin(angle)])
             wall = np.where(towards > 0.0, self.ROOM, 0.0)
-            distance = float(np.min((wall - start) / np.where(np.abs(towards) < 1e-9, 1e-9, towards)))
+            distance = float(
+                np.min((wall - start) / np.where(np.abs(towards) < 1e-9, 1e-9, towards))
+            )
             seen = distance + self._random.normal(0.0, RANGE_STD)
             ranges.append(max(seen, 0.0) if seen < beam.max_range else math.inf)
         return ranges
@@ -95,7 +105,8 @@ class FakeRobot:
 
 
 def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = None) -> np.ndarray:
-    """Drive until the agent is done, or for ``steps`` steps. Returns the estimated pose after each step (n, 3), m, rad.
+    """Drive until the agent is done, or for ``steps`` steps. Returns the estimated pose after each
+    step (n, 3), m, rad.
 
     ``log`` is a text file to write, which ``limslam replay`` can read.
     """
@@ -106,8 +117,13 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
             wheels, ranges = robot.read_wheels(), robot.read_ranges()
             action = agent.act({"wheels": np.array(wheels), "ranges": np.array(ranges)})
             path.append(agent.slam.pose)
-            # A log holds the pose by odometry, and ranges from the robot's centre. These beams start on its rim.
-            row = (step * SPEC.control_period, *agent.mapper.odometry[0], *(reading + RADIUS for reading in ranges))
+            # A log holds the pose by odometry, and ranges from the robot's centre. These beams
+            # start on its rim.
+            row = (
+                step * SPEC.control_period,
+                *agent.mapper.odometry[0],
+                *(reading + RADIUS for reading in ranges),
+            )
             rows.append(",".join(f"{value:.6g}" for value in row))
             left, right = SPEC.max_wheel_speed * action
             robot.send_wheel_speeds(float(left), float(right))
@@ -122,9 +138,13 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
 
 
 def main() -> None:
-    """Explore, then write ``map.json``, ``map.pgm`` with ``map.yaml``, ``map.png`` and ``log.csv``."""
+    """Explore, then write ``map.json``, ``map.pgm`` with ``map.yaml``, ``map.png`` and
+    ``log.csv``.
+    """
     parser = argparse.ArgumentParser(description="Explore with a live robot.")
-    parser.add_argument("--out", type=Path, default=Path("live_robot"), help="folder for the map and the log")
+    parser.add_argument(
+        "--out", type=Path, default=Path("live_robot"), help="folder for the map and the log"
+    )
     parser.add_argument("--steps", type=int, default=6000, help="longest run")
     parser.add_argument("--real-time", action="store_true", help="run at the speed of a real robot")
     options = parser.parse_args()

@@ -1,4 +1,6 @@
-"""A policy of your own, with map, picture and film: ``limslam run --policy examples/my_policy.py:TurnFromWalls``."""
+"""A policy of your own, with map, picture and film: ``limslam run --policy
+examples/my_policy.py:TurnFromWalls``.
+"""
 
 import numpy as np
 

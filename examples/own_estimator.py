@@ -17,14 +17,18 @@ from limslam_env.metrics import trajectory_metrics
 
 
 class DeadReckoning:
-    """Odometry alone. Replace this class with your estimator: it gets the readings of each step, and nothing true."""
+    """Odometry alone. Replace this class with your estimator: it gets the readings of each step,
+    and nothing true.
+    """
 
     def __init__(self, robot: RobotSpec, start_pose: FloatArray) -> None:
         self.robot, self.pose = robot, start_pose
 
     def step(self, observation: Observation) -> FloatArray:
         """The pose (3,) after an observation: x (m), y (m), heading (rad)."""
-        wheels = np.asarray(observation["wheels"], dtype=float)  # travel of the left and the right wheel, m
+        wheels = np.asarray(
+            observation["wheels"], dtype=float
+        )  # travel of the left and the right wheel, m
         self.pose = compose(self.pose, arc(*wheels_to_arc(wheels, self.robot.axle)))
         return self.pose
 

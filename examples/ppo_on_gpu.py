@@ -1,8 +1,10 @@
-"""PPO with everything on one GPU: ``python examples/ppo_on_gpu.py --steps 200000000`` (extra ``gpu``, and torch).
+"""PPO with everything on one GPU: ``python examples/ppo_on_gpu.py --steps 200000000`` (extra
+``gpu``, and torch).
 
-The environments, the network and all that is learned from stay on the device. The policy has no map: it sees the last
-readings, and how much of a floor plan it sees in a minute is printed. After Schulman et al., "Proximal policy
-optimization algorithms" (2017), with the settings of CleanRL's ``ppo_continuous_action``.
+The environments, the network and all that is learned from stay on the device. The policy has no
+map: it sees the last readings, and how much of a floor plan it sees in a minute is printed. After
+Schulman et al., "Proximal policy optimization algorithms" (2017), with the settings of CleanRL's
+``ppo_continuous_action``.
 """
 
 import argparse
@@ -52,7 +54,9 @@ class Frames:
         self._scale = scale
 
     def add(self, observation: dict[str, Any], is_first: Tensor) -> Tensor:
-        """Take a new observation, the first of an episode where ``is_first`` (n,); returns (n, FRAMES * width)."""
+        """Take a new observation, the first of an episode where ``is_first`` (n,); returns (n,
+        FRAMES * width).
+        """
         # No copies are made of the simulator's arrays here, and the next step writes into them.
         parts = [torch.as_tensor(observation[name], device="cuda") for name in ("ranges", "wheels")]
         older = self.seen[:, 1:] * ~is_first[:, None, None]
@@ -80,12 +84,24 @@ class Rollout:
             return torch.zeros(ROLLOUT, num_envs, *shape, dtype=dtype, device="cuda")
 
         return cls(
-            made(width), made(2), made(), made(), made(), made(dtype=torch.bool), made(dtype=torch.bool)
-        )  # fmt: skip
+            made(width),
+            made(2),
+            made(),
+            made(),
+            made(),
+            made(dtype=torch.bool),
+            made(dtype=torch.bool),
+        )
 
     def advantages(self, last_value: Tensor) -> Tensor:
-        """Generalised advantages (steps, n); ``last_value`` (n,) is that of the observation after the last step."""
-        found, trace, following = torch.zeros_like(self.rewards), torch.zeros_like(last_value), last_value
+        """Generalised advantages (steps, n); ``last_value`` (n,) is that of the observation after
+        the last step.
+        """
+        found, trace, following = (
+            torch.zeros_like(self.rewards),
+            torch.zeros_like(last_value),
+            last_value,
+        )
         for step in reversed(range(ROLLOUT)):
             goes_on = (~self.ends[step]).float()
             error = self.rewards[step] + DISCOUNT * following * goes_on - self.values[step]
@@ -94,11 +110,14 @@ class Rollout:
         return found
 
 
-def learn(policy: Policy, optimizer: torch.optim.Optimizer, rollout: Rollout, last_value: Tensor) -> None:
+def learn(
+    policy: Policy, optimizer: torch.optim.Optimizer, rollout: Rollout, last_value: Tensor
+) -> None:
     """Some epochs of PPO on a rollout."""
     advantages = rollout.advantages(last_value)
     targets = (advantages + rollout.values).flatten()
-    # The step after an end begins the next episode and ignores the action: nothing is to be learned from it.
+    # The step after an end begins the next episode and ignores the action: nothing is to be learned
+    # from it.
     rows = rollout.is_driven.flatten().nonzero().flatten()
     seen, actions = rollout.seen.flatten(0, 1), rollout.actions.flatten(0, 1)
     log_probs, gains = rollout.log_probs.flatten(), advantages.flatten()
@@ -135,7 +154,9 @@ def main() -> None:
         max_episode_steps=EPISODE,
         device="cuda",
     )
-    high = [torch.as_tensor(envs.single_observation_space[name].high) for name in ("ranges", "wheels")]
+    high = [
+        torch.as_tensor(envs.single_observation_space[name].high) for name in ("ranges", "wheels")
+    ]
     scale = torch.cat(high).cuda()
     frames, width = Frames(count, len(scale), scale), FRAMES * len(scale)
     policy = Policy(width).cuda()
@@ -159,9 +180,16 @@ def main() -> None:
                 rollout.values[step], rollout.is_driven[step] = policy.value(seen)[:, 0], ~over
                 observation, rewards, terminated, truncated, info = envs.step(actions)
                 is_first = over
-                over = torch.as_tensor(terminated, device="cuda") | torch.as_tensor(truncated, device="cuda")
-                rollout.rewards[step], rollout.ends[step] = torch.as_tensor(rewards, device="cuda"), over
-                coverages = coverages + (torch.as_tensor(info["coverage"], device="cuda") * over).sum()
+                over = torch.as_tensor(terminated, device="cuda") | torch.as_tensor(
+                    truncated, device="cuda"
+                )
+                rollout.rewards[step], rollout.ends[step] = (
+                    torch.as_tensor(rewards, device="cuda"),
+                    over,
+                )
+                coverages = (
+                    coverages + (torch.as_tensor(info["coverage"], device="cuda") * over).sum()
+                )
                 ends = ends + over.sum()
                 seen = frames.add(observation, is_first)
             last_value = policy.value(seen)[:, 0]
@@ -171,9 +199,14 @@ def main() -> None:
         if update % max(updates // 20, 1) == 0:
             taken, done = time.perf_counter() - begin, update * ROLLOUT * count
             share = (
-                f"{float(coverages / ends):.0%} of a floor plan seen in a minute" if ends else "no episode has ended"
+                f"{float(coverages / ends):.0%} of a floor plan seen in a minute"
+                if ends
+                else "no episode has ended"
             )
-            print(f"{done / 1e6:.0f} M steps, {taken:.0f} s ({simulated:.0f} s driving), {share}", flush=True)
+            print(
+                f"{done / 1e6:.0f} M steps, {taken:.0f} s ({simulated:.0f} s driving), {share}",
+                flush=True,
+            )
             coverages = ends = torch.zeros((), device="cuda")
 
 

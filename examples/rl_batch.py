@@ -1,7 +1,9 @@
-"""Stable-Baselines3's PPO on a batch of environments: ``python examples/rl_batch.py --steps 1000000`` (extra ``rl``).
+"""Stable-Baselines3's PPO on a batch of environments: ``python examples/rl_batch.py --steps
+1000000`` (extra ``rl``).
 
-All robots move in one call of compiled code, hundreds of thousands of steps a second. The network then takes most of
-the time. At the end the model is scored on floor plans that it has not seen, beside the frontier explorer.
+All robots move in one call of compiled code, hundreds of thousands of steps a second. The network
+then takes most of the time. At the end the model is scored on floor plans that it has not seen,
+beside the frontier explorer.
 """
 
 import argparse
@@ -23,7 +25,9 @@ FRAMES = 4  # the last four observations show how the robot moves
 def stacked(env: gym.Env, space: gym.Space[Any]) -> gym.Env:
     """A single environment with the observations of `VecFrameStack`, in ``space``."""
     frames = FrameStackObservation(env, FRAMES, padding_type="zero")
-    return TransformObservation(frames, lambda seen: {key: part.ravel() for key, part in seen.items()}, space)
+    return TransformObservation(
+        frames, lambda seen: {key: part.ravel() for key, part in seen.items()}, space
+    )
 
 
 def main() -> None:
@@ -42,19 +46,36 @@ def main() -> None:
         max_episode_steps=EPISODE,
     )
     env = VecFrameStack(Sb3VecEnv(batch), n_stack=FRAMES)
-    model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=256, n_epochs=4, seed=0, device="cpu", verbose=1)
+    model = PPO(
+        "MultiInputPolicy",
+        env,
+        n_steps=32,
+        batch_size=256,
+        n_epochs=4,
+        seed=0,
+        device="cpu",
+        verbose=1,
+    )
     # Prints some twenty tables of its progress.
     model.learn(options.steps, log_interval=max(options.steps // (20 * 32 * options.envs), 1))
     returns = [episode["r"] for episode in model.ep_info_buffer or []]
-    reward = f"reward {sum(returns) / len(returns):.1f} an episode" if returns else "no episode has ended yet"
+    reward = (
+        f"reward {sum(returns) / len(returns):.1f} an episode"
+        if returns
+        else "no episode has ended yet"
+    )
     needed = "" if returns else f" (needs about {EPISODE * options.envs} steps)"
     print(f"{model.num_timesteps} steps: {reward}{needed}")
     for name, actor, wrap in (
         ("PPO", model, lambda env: stacked(env, model.observation_space)),
         ("frontier", "frontier", None),
     ):
-        plans = range(1000, 1000 + options.plans)  # the plans of training are those of the seeds 0 to 19
-        results = evaluate(actor, "LimSlam-Random-v0", plans, max_time=60.0, wrap=wrap, sensor_noise=0.02)
+        plans = range(
+            1000, 1000 + options.plans
+        )  # the plans of training are those of the seeds 0 to 19
+        results = evaluate(
+            actor, "LimSlam-Random-v0", plans, max_time=60.0, wrap=wrap, sensor_noise=0.02
+        )
         print(f"{name:8} sees {medians(results)['coverage_true']:.0%} of a floor plan in a minute")
 
 

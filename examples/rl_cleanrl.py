@@ -1,7 +1,8 @@
-"""PPO in one file, in the style of CleanRL: ``python examples/rl_cleanrl.py`` (needs torch, as the extra ``rl`` does).
+"""PPO in one file, in the style of CleanRL: ``python examples/rl_cleanrl.py`` (needs torch, as the
+extra ``rl`` does).
 
-Environments, network, rollout, advantages and update follow each other in this file. Any vector of Gymnasium
-environments works that ends an episode and begins the next one in the same step.
+Environments, network, rollout, advantages and update follow each other in this file. Any vector of
+Gymnasium environments works that ends an episode and begins the next one in the same step.
 """
 
 import argparse
@@ -37,11 +38,14 @@ class Agent(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Normal, Tensor]:
         """The distribution of the action (n, 2), and the value (n,)."""
-        return Normal(self.actor(observation), self.log_std.exp()), self.critic(observation).squeeze(-1)
+        return Normal(self.actor(observation), self.log_std.exp()), self.critic(
+            observation
+        ).squeeze(-1)
 
 
 def advantages(rewards: Tensor, values: Tensor, dones: Tensor) -> Tensor:
-    """Generalised advantage estimates (t, n); ``values`` has one more row, for the last observation.
+    """Generalised advantage estimates (t, n); ``values`` has one more row, for the last
+    observation.
 
     A truncated episode counts as ended here, as in CleanRL.
     """
@@ -72,10 +76,19 @@ def main() -> None:
             told, reward, terminated, truncated, _ = envs.step(action.clamp(-1.0, 1.0).numpy())
             done = torch.as_tensor(np.logical_or(terminated, truncated), dtype=torch.float32)
             rows.append(
-                [observation, action, policy.log_prob(action).sum(-1), value, torch.as_tensor(reward).float(), done]
+                [
+                    observation,
+                    action,
+                    policy.log_prob(action).sum(-1),
+                    value,
+                    torch.as_tensor(reward).float(),
+                    done,
+                ]
             )
             observation = torch.as_tensor(told)
-        observations, actions, old, values, rewards, dones = (torch.stack(part) for part in zip(*rows, strict=True))
+        observations, actions, old, values, rewards, dones = (
+            torch.stack(part) for part in zip(*rows, strict=True)
+        )
         with torch.no_grad():
             gain = advantages(rewards, torch.cat((values, agent(observation)[1][None])), dones)
         batch = [part.flatten(0, 1) for part in (observations, actions, old, gain, gain + values)]
@@ -85,8 +98,14 @@ def main() -> None:
                 policy, value = agent(seen)
                 ratio = (policy.log_prob(chosen).sum(-1) - before).exp()
                 better = (better - better.mean()) / (better.std() + 1e-8)
-                surrogate = torch.min(ratio * better, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * better).mean()
-                loss = VALUE * (value - worth).square().mean() - surrogate - ENTROPY * policy.entropy().sum(-1).mean()
+                surrogate = torch.min(
+                    ratio * better, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * better
+                ).mean()
+                loss = (
+                    VALUE * (value - worth).square().mean()
+                    - surrogate
+                    - ENTROPY * policy.entropy().sum(-1).mean()
+                )
                 optimizer.zero_grad()
                 loss.backward()
                 nn.utils.clip_grad_norm_(agent.parameters(), 0.5)

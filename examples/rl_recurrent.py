@@ -1,7 +1,8 @@
-"""RecurrentPPO of sb3-contrib, with a recurrent network instead of a map: ``python examples/rl_recurrent.py``.
+"""RecurrentPPO of sb3-contrib, with a recurrent network instead of a map: ``python
+examples/rl_recurrent.py``.
 
-A robot that sees 1.5 m far must remember where it has been. Here a recurrent network (LSTM) has to learn that. Needs
-the extra ``rl``.
+A robot that sees 1.5 m far must remember where it has been. Here a recurrent network (LSTM) has to
+learn that. Needs the extra ``rl``.
 """
 
 import argparse

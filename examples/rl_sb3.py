@@ -1,7 +1,9 @@
-"""Stable-Baselines3's PPO on one environment: ``python examples/rl_sb3.py --steps 100000`` (extra ``rl``).
+"""Stable-Baselines3's PPO on one environment: ``python examples/rl_sb3.py --steps 100000`` (extra
+``rl``).
 
-Ranges are scaled to 0..1, and there are three moves (ahead, left, right). This is enough to learn to keep moving. At
-the end the model is scored beside the frontier explorer, on the same floor plans from the same starts.
+Ranges are scaled to 0..1, and there are three moves (ahead, left, right). This is enough to learn
+to keep moving. At the end the model is scored beside the frontier explorer, on the same floor plans
+from the same starts.
 """
 
 import argparse
@@ -13,7 +15,12 @@ from stable_baselines3.common.monitor import Monitor
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent import evaluate, medians
-from limslam_env.envs.wrappers import DiscreteAction, FlattenObservation, FrameStackObservation, NormalizedObservation
+from limslam_env.envs.wrappers import (
+    DiscreteAction,
+    FlattenObservation,
+    FrameStackObservation,
+    NormalizedObservation,
+)
 
 
 def wrapped(env: gym.Env) -> gym.Env:
@@ -34,7 +41,13 @@ def main() -> None:
     arguments.add_argument("--plans", type=int, default=5, help="floor plans to score the model on")
     options = arguments.parse_args()
     model = PPO(
-        "MlpPolicy", make_env(), n_steps=min(options.steps, 2048), batch_size=64, seed=0, device="cpu", verbose=1
+        "MlpPolicy",
+        make_env(),
+        n_steps=min(options.steps, 2048),
+        batch_size=64,
+        seed=0,
+        device="cpu",
+        verbose=1,
     )
     model.learn(options.steps)  # prints a table of its progress every 2048 steps
     mean, std = evaluate_policy(model, make_env(), n_eval_episodes=2)
@@ -42,7 +55,9 @@ def main() -> None:
     print(f"{model.num_timesteps} steps: reward {mean:.1f} +- {std:.1f}")
     plans = range(1000, 1000 + options.plans)  # the training begins with the plan of seed 0
     for name, actor, wrap in (("PPO", model, wrapped), ("frontier", "frontier", None)):
-        results = evaluate(actor, "LimSlam-Random-v0", plans, max_time=60.0, wrap=wrap, sensor_noise=0.02)
+        results = evaluate(
+            actor, "LimSlam-Random-v0", plans, max_time=60.0, wrap=wrap, sensor_noise=0.02
+        )
         print(f"{name:8} sees {medians(results)['coverage_true']:.0%} of a floor plan in a minute")
     if options.out:
         model.save(options.out)

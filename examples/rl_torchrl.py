@@ -1,6 +1,8 @@
-"""LimSLAM in TorchRL: ``python examples/rl_torchrl.py`` (after ``pip install torchrl``; no part of the extra ``rl``).
+"""LimSLAM in TorchRL: ``python examples/rl_torchrl.py`` (after ``pip install torchrl``; no part of
+the extra ``rl``).
 
-`GymEnv` takes the environment without changes. It returns TensorDicts, from which TorchRL's PPO learns.
+`GymEnv` takes the environment without changes. It returns TensorDicts, from which TorchRL's PPO
+learns.
 """
 
 import argparse
@@ -24,7 +26,9 @@ def main() -> None:
     options = arguments.parse_args()
     torch.manual_seed(0)
     # The check of each step would only take time here.
-    bare = GymEnv("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600, disable_env_checker=True)
+    bare = GymEnv(
+        "LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600, disable_env_checker=True
+    )
     one_row = CatTensors(["ranges", "wheels"], out_key="observation", del_keys=False)
     env = TransformedEnv(bare, Compose(one_row, StepCounter(), RewardSum()))
     env.set_seed(0)
@@ -33,10 +37,18 @@ def main() -> None:
     body = nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 4), NormalParamExtractor())
     actor = ProbabilisticActor(
         TensorDictModule(body, in_keys=["observation"], out_keys=["loc", "scale"]),
-        spec=env.action_spec, in_keys=["loc", "scale"], distribution_class=TanhNormal, return_log_prob=True,
-    )  # fmt: skip
-    critic = ValueOperator(nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 1)), in_keys=["observation"])
-    advantage, objective = GAE(gamma=0.99, lmbda=0.95, value_network=critic), ClipPPOLoss(actor, critic)
+        spec=env.action_spec,
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    critic = ValueOperator(
+        nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 1)), in_keys=["observation"]
+    )
+    advantage, objective = (
+        GAE(gamma=0.99, lmbda=0.95, value_network=critic),
+        ClipPPOLoss(actor, critic),
+    )
     optimizer = torch.optim.Adam(objective.parameters(), lr=3e-4)
     done = 0
     while done < options.steps:

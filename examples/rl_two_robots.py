@@ -1,6 +1,8 @@
-"""One PPO policy for two robots that share a building, by SuperSuit: ``python examples/rl_two_robots.py``.
+"""One PPO policy for two robots that share a building, by SuperSuit: ``python
+examples/rl_two_robots.py``.
 
-Stable-Baselines3 sees each robot as an environment of its own, and both train the same network (extra ``rl``).
+Stable-Baselines3 sees each robot as an environment of its own, and both train the same network
+(extra ``rl``).
 """
 
 import argparse
@@ -38,7 +40,13 @@ def main() -> None:
     model.learn(options.steps)
 
     (score,) = evaluate(
-        model, "limslam/Env2-v0", seeds=[1], wrap=in_a_row, max_time=10.0, num_robots=2, sensor_noise=0.02
+        model,
+        "limslam/Env2-v0",
+        seeds=[1],
+        wrap=in_a_row,
+        max_time=10.0,
+        num_robots=2,
+        sensor_noise=0.02,
     )
     print(f"{model.num_timesteps} steps: {score['coverage_true']:.1%} seen by both in ten seconds")
 

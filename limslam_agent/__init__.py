@@ -1,10 +1,12 @@
 """LimSLAM's agent: line-landmark EKF-SLAM and frontier exploration with a few range beams.
 
-The names in ``__all__`` are the public interface of this package. All other names are private and may change in any
-release. A public name is imported when it is first used, so that ``import limslam_agent`` stays fast.
+The names in ``__all__`` are the public interface of this package. All other names are private and
+may change in any release. A public name is imported when it is first used, so that ``import
+limslam_agent`` stays fast.
 
-The agent cannot see the truth: except for ``evaluate``, which runs the simulator to score agents, nothing here imports
-more of ``limslam_env`` than its geometry and its interface. The agent therefore also runs on a robot.
+The agent cannot see the truth: except for ``evaluate``, which runs the simulator to score agents,
+nothing here imports more of ``limslam_env`` than its geometry and its interface. The agent
+therefore also runs on a robot.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,6 @@
-"""``python -m limslam_agent`` is the command ``limslam``, also where the shell does not find that."""
+"""``python -m limslam_agent`` is the command ``limslam``, also where the shell does not find
+that.
+"""
 
 from limslam_agent.cli.main import main
 

@@ -17,7 +17,8 @@ class Guess:
     pose
         Pose (3,) of the robot's present frame in the earlier map, m and rad.
     log_odds
-        Logarithm of the likelihood ratio of this place and of ground that the earlier map does not have.
+        Logarithm of the likelihood ratio of this place and of ground that the earlier map does not
+        have.
     grid
         Occupancy grid of the earlier map.
     """
@@ -31,8 +32,9 @@ class Guess:
 class Belief:
     """Everything that a policy may use to choose an action.
 
-    A :class:`~limslam_agent.mapping.mapper.Mapper` makes the belief of each robot. Only ``other_goals`` is added by the
-    team, because the goals come from the policies and not from the map.
+    A :class:`~limslam_agent.mapping.mapper.Mapper` makes the belief of each robot. Only
+    ``other_goals`` is added by the team, because the goals come from the policies and not from the
+    map.
 
     Attributes
     ----------
@@ -41,7 +43,8 @@ class Belief:
     covariance
         Covariance of the estimated pose (3, 3). It grows while the robot is lost.
     ranges
-        Latest range readings (n_beams,), m, as `limslam_agent.readings` defines them. NaN where there is no reading.
+        Latest range readings (n_beams,), m, as `limslam_agent.readings` defines them. NaN where
+        there is no reading.
     segments
         Walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
     grid
@@ -53,11 +56,12 @@ class Belief:
     status
         Whether the estimate can be trusted.
     frame
-        Number of times that the frame of poses and map has changed (:class:`~limslam_agent.mapping.mapper.Mapper`).
-        Plans that were made in another frame mean nothing.
+        Number of times that the frame of poses and map has changed
+        (:class:`~limslam_agent.mapping.mapper.Mapper`). Plans that were made in another frame mean
+        nothing.
     map_number
-        Number of the map. In another frame with the same number, the map is the same, but was moved. What a policy has
-        settled there, such as places that cannot be reached, remains so.
+        Number of the map. In another frame with the same number, the map is the same, but was
+        moved. What a policy has settled there, such as places that cannot be reached, remains so.
     guesses
         Where a lost robot may be. Empty for a robot that is not lost.
     """

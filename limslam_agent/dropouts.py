@@ -1,10 +1,11 @@
 """Drop-outs: readings that saw nothing because the sensor missed what was there.
 
-Such a reading looks like free ground up to the longest range. A single reading cannot show whether it is a drop-out.
-But drop-outs come one by one: a beam that saw a wall before and after, at nearly the same range, cannot have looked
-past the wall in between. The share of such readings is an estimate of the probability of a drop-out. Sensors that
-never miss have a share below 0.2 % in all worlds that were tried, infrared sensors like Sharp's 0.6 %. The row
-"drop-out 10 %" of the scoreboard feels the numbers below.
+Such a reading looks like free ground up to the longest range. A single reading cannot show whether
+it is a drop-out. But drop-outs come one by one: a beam that saw a wall before and after, at nearly
+the same range, cannot have looked past the wall in between. The share of such readings is an
+estimate of the probability of a drop-out. Sensors that never miss have a share below 0.2 % in all
+worlds that were tried, infrared sensors like Sharp's 0.6 %. The row "drop-out 10 %" of the
+scoreboard feels the numbers below.
 """
 
 import math
@@ -15,14 +16,17 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 _RARE = 1e-4
-"""A series of readings that saw nothing is believed if the sensor makes such a series with less than this chance."""
+"""A series of readings that saw nothing is believed if the sensor makes such a series with less
+than this chance.
+"""
 
 _LEAST_MISSES, _LEAST_SHARE = 5, 0.02
 """Number and share of drop-outs from which on a sensor counts as one that misses walls."""
 
 
 class Dropouts:
-    """How frequent the drop-outs of one robot's beams are, and for how long each beam has seen nothing.
+    """How frequent the drop-outs of one robot's beams are, and for how long each beam has seen
+    nothing.
 
     Parameters
     ----------
@@ -49,19 +53,26 @@ class Dropouts:
 
     @property
     def share(self) -> float:
-        """Estimated probability that a beam misses a wall; 0 while too few readings have missed one."""
+        """Estimated probability that a beam misses a wall; 0 while too few readings have missed
+        one.
+        """
         between, missed = self._counts.tolist()
-        return missed / between if missed >= _LEAST_MISSES and missed > _LEAST_SHARE * between else 0.0
+        return (
+            missed / between if missed >= _LEAST_MISSES and missed > _LEAST_SHARE * between else 0.0
+        )
 
     @property
     def enough(self) -> int:
-        """Number of readings in a row that saw nothing from which on there is nothing: 1 without drop-outs."""
+        """Number of readings in a row that saw nothing from which on there is nothing: 1 without
+        drop-outs.
+        """
         share = self.share
         return math.ceil(math.log(_RARE) / math.log(min(share, 0.5))) if share else 1
 
 
 def short_series(nothing: BoolArray, lasting: int) -> BoolArray:
-    """Which of the readings (m, n_beams) of successive steps saw nothing, but not in ``lasting`` steps in succession.
+    """Which of the readings (m, n_beams) of successive steps saw nothing, but not in ``lasting``
+    steps in succession.
 
     ``nothing`` says which of them saw nothing.
     """

@@ -1,20 +1,23 @@
 """What a range reading means. Live observations and all readers of logs use this one definition.
 
-==============================  ==================  ================================================================
-reading                         becomes             meaning
-==============================  ==================  ================================================================
-``+inf``                        the beam's maximum  Nothing was seen: the beam is free up to its maximum.
-the beam's maximum or more      the beam's maximum  Nothing was seen. Examples are the 8190 mm of a time-of-flight
+==============================  ==================
+================================================================ reading
+becomes             meaning ==============================  ==================
+================================================================ ``+inf``                        the
+beam's maximum  Nothing was seen: the beam is free up to its maximum. the beam's maximum or more
+the beam's maximum  Nothing was seen. Examples are the 8190 mm of a time-of-flight
                                                     chip and the 81.91 m of a CARMEN log.
 between minimum and maximum     itself              A surface at this distance.
-0 up to the beam's minimum      the beam's minimum  Something may be nearer than the sensor can measure.
-``NaN``                         ``NaN``             No reading. It is skipped and counted.
+0 up to the beam's minimum      the beam's minimum  Something may be nearer than the sensor can
+measure. ``NaN``                         ``NaN``             No reading. It is skipped and counted.
 negative numbers and ``-inf``   ``NaN``             Nonsense. It is skipped and counted.
-==============================  ==================  ================================================================
+==============================  ==================
+================================================================
 
-Some drivers report 0 where no echo came back, and other drivers report 0 where an object is too near. A reading of 0
-therefore shows neither a wall nor free space: the map does not use it, and the robot keeps its distance. A program
-whose sensor reports 0 only where nothing was seen replaces the 0 by infinity before it hands the reading over.
+Some drivers report 0 where no echo came back, and other drivers report 0 where an object is too
+near. A reading of 0 therefore shows neither a wall nor free space: the map does not use it, and the
+robot keeps its distance. A program whose sensor reports 0 only where nothing was seen replaces the
+0 by infinity before it hands the reading over.
 """
 
 import numpy as np
@@ -36,8 +39,9 @@ def as_readings(ranges: ArrayLike, min_ranges: ArrayLike, max_ranges: ArrayLike)
     Returns
     -------
     FloatArray
-        Readings (..., n_beams), m, from the minimum to the maximum, or NaN. A reading at the maximum means that nothing
-        was seen, a reading at the minimum that something may be nearer, and NaN that there is no reading.
+        Readings (..., n_beams), m, from the minimum to the maximum, or NaN. A reading at the
+        maximum means that nothing was seen, a reading at the minimum that something may be nearer,
+        and NaN that there is no reading.
     """
     values = np.asarray(ranges, dtype=np.float64)
     # A comparison with NaN is false, and np.clip keeps NaN.

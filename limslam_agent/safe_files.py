@@ -24,9 +24,11 @@ class TooLargeError(ValueError):
 
 
 def open_regular(path: Path) -> IO[bytes]:
-    """Open a file to read its bytes. Pipes and devices, which may never end, are refused before they are opened.
+    """Open a file to read its bytes. Pipes and devices, which may never end, are refused before
+    they are opened.
 
-    A file of no bytes is not opened either: files of the kernel such as ``/proc/kmsg`` look like that, and may wait.
+    A file of no bytes is not opened either: files of the kernel such as ``/proc/kmsg`` look like
+    that, and may wait.
 
     Raises
     ------
@@ -62,7 +64,8 @@ def read_limited(path: Path, largest: int = MAX_TEXT_BYTES) -> bytes:
 def load_arrays(
     path: Path, names: Collection[str] | None = None, largest: float = MAX_ARRAY_BYTES
 ) -> "dict[str, NDArray[Any]]":
-    """The arrays of an ``.npz`` file by their names, of these names only, where they are given. Nothing is unpickled.
+    """The arrays of an ``.npz`` file by their names, of these names only, where they are given.
+    Nothing is unpickled.
 
     Raises
     ------
@@ -84,16 +87,22 @@ def load_arrays(
                 raise
             from limslam_env.messages import LONGEST_VALUE, one_line
 
-            raise ValueError(f"cut short or damaged: {one_line(str(error), LONGEST_VALUE)}") from error
+            raise ValueError(
+                f"cut short or damaged: {one_line(str(error), LONGEST_VALUE)}"
+            ) from error
 
 
-def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: float) -> "dict[str, NDArray[Any]]":
+def _arrays_in(
+    raw: IO[bytes], names: Collection[str] | None, largest: float
+) -> "dict[str, NDArray[Any]]":
     with zipfile.ZipFile(raw) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         wanted = {name: info for name, info in members.items() if names is None or name in names}
         total = sum(info.file_size for info in wanted.values())
         if total > largest:
-            raise TooLargeError(f"its arrays have {total / 1e6:.0f} MB; at most {largest / 1e6:g} MB are read")
+            raise TooLargeError(
+                f"its arrays have {total / 1e6:.0f} MB; at most {largest / 1e6:g} MB are read"
+            )
         return {name: _array(archive, info) for name, info in wanted.items()}
 
 
@@ -102,9 +111,14 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> "NDArray[Any]":
     import numpy as np
 
     with archive.open(info) as member:
-        # The size that the array's own header promises is reserved at once, before any data are read.
+        # The size that the array's own header promises is reserved at once, before any data are
+        # read.
         version = np.lib.format.read_magic(member)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        read_header = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
+        )
         shape, _, dtype = read_header(member)
         count = 1
         for side in shape:

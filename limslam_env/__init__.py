@@ -1,11 +1,13 @@
-"""A simulator of small robots that explore unknown buildings with a few range sensors and wheel encoders.
+"""A simulator of small robots that explore unknown buildings with a few range sensors and wheel
+encoders.
 
-The environments implement the interfaces of Gymnasium (one robot, or a batch of them) and PettingZoo (several robots).
-Importing this package registers them by name, for example ``LimSlam-Env1-v0``. The physics engine and the compiled
-kernels are loaded when the first environment is made.
+The environments implement the interfaces of Gymnasium (one robot, or a batch of them) and
+PettingZoo (several robots). Importing this package registers them by name, for example
+``LimSlam-Env1-v0``. The physics engine and the compiled kernels are loaded when the first
+environment is made.
 
-The public interface is the list ``__all__`` of this module. All other modules and names are private: they can change
-in any release.
+The public interface is the list ``__all__`` of this module. All other modules and names are
+private: they can change in any release.
 """
 
 import importlib
@@ -20,7 +22,11 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSp
 if TYPE_CHECKING:
     from limslam_env.envs.env import LimSlamEnv
     from limslam_env.envs.parallel_env import LimSlamParallelEnv, aec_env, parallel_env
-    from limslam_env.envs.vector_env import LimSlamParallelVectorEnv, LimSlamVectorEnv, parallel_vector_env
+    from limslam_env.envs.vector_env import (
+        LimSlamParallelVectorEnv,
+        LimSlamVectorEnv,
+        parallel_vector_env,
+    )
     from limslam_env.rendering.painter import Overlay
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.generation.floor_plans import FloorPlanConfig

@@ -1,4 +1,6 @@
-"""Planning with the true map: a roadmap of collision-free straight lines, short paths made of them, and tours."""
+"""Planning with the true map: a roadmap of collision-free straight lines, short paths made of them,
+and tours.
+"""
 
 import math
 from typing import NamedTuple
@@ -35,10 +37,12 @@ _PAIRS_AT_ONCE, _NEAR = 1000, 16
 class Roadmap:
     """The places that a robot can reach from its start, and paths between them.
 
-    Places stand on a grid, and besides where the only ways to some of them turn. Two that see each other are joined: a
-    probabilistic roadmap without chance (Kavraki, Svestka, Latombe and Overmars 1996).
+    Places stand on a grid, and besides where the only ways to some of them turn. Two that see each
+    other are joined: a probabilistic roadmap without chance (Kavraki, Svestka, Latombe and Overmars
+    1996).
 
-    The attribute ``places`` (n, 2), m, begins with the ``start`` (2,), m, of the robot, whose body has a ``radius``, m.
+    The attribute ``places`` (n, 2), m, begins with the ``start`` (2,), m, of the robot, whose body
+    has a ``radius``, m.
 
     Raises
     ------
@@ -53,9 +57,12 @@ class Roadmap:
         room = space.centres(space.free)
         offsets = np.hypot(*(room - start).T)
         if not len(room) or offsets.min() > _ESCAPE:
-            raise WorldError(f"world {world.name!r}: there is no room to drive at ({start[0]:g}, {start[1]:g})")
+            raise WorldError(
+                f"world {world.name!r}: there is no room to drive at ({start[0]:g}, {start[1]:g})"
+            )
         nearest = room[np.argmin(offsets)]
-        # Cells that only touch at a corner are not joined, so a straight way leads from each cell to the next.
+        # Cells that only touch at a corner are not joined, so a straight way leads from each cell
+        # to the next.
         parts, _ = ndimage.label(space.free)
         self._drivable = np.asarray(parts == parts[tuple(self._cells(nearest))])
         # Robots may start nearer to a wall than they later drive.
@@ -69,7 +76,9 @@ class Roadmap:
         return np.asarray(self._costs(np.atleast_2d(first), np.atleast_2d(second)) < np.inf)
 
     def way(self, first: FloatArray, second: FloatArray) -> FloatArray | None:
-        """The turning points and the end (k, 2) of a path between two points (2,), m; None if there is no path."""
+        """The turning points and the end (k, 2) of a path between two points (2,), m; None if there
+        is no path.
+        """
         if self.is_free(first, second)[0]:
             return np.array([second])
         begins, ends = self._seen_from(first), self._seen_from(second)
@@ -98,10 +107,13 @@ class Roadmap:
         return np.floor((points - self._origin) / self._cell).astype(np.intp)[..., ::-1]
 
     def _costs(self, first: FloatArray, second: FloatArray) -> FloatArray:
-        """Costs (n,) of straight lines between points (n, 2), m: higher with little clearance, inf through walls."""
+        """Costs (n,) of straight lines between points (n, 2), m: higher with little clearance, inf
+        through walls.
+        """
         spans = second - first
         lengths = np.hypot(*spans.T)
-        # The number of samples follows from the line's own length, so that its cost does not depend on the other lines.
+        # The number of samples follows from the line's own length, so that its cost does not depend
+        # on the other lines.
         counts = np.ceil(2.0 * lengths / self._cell)[:, None] + 1.0
         steps = np.arange(counts.max(initial=0.0) + 1.0)
         shares = np.minimum(steps / counts, 1.0)
@@ -125,10 +137,13 @@ class Roadmap:
         return np.asarray(points[order[first]])
 
     def _join(self, places: FloatArray) -> None:
-        """Join the places by straight lines, with additional places where some would be unreachable."""
+        """Join the places by straight lines, with additional places where some would be
+        unreachable.
+        """
         self.places, self._graph = places, self._straight_ways(places)
         fine: _FineWays | None = None
-        # The straight pieces of a way can be a little too near to a wall. Then the ways from cell to cell are taken.
+        # The straight pieces of a way can be a little too near to a wall. Then the ways from cell
+        # to cell are taken.
         for thinned in (self._thinned, np.asarray):
             _, part = csgraph.connected_components(self._graph, directed=False)
             firsts = np.unique(part, return_index=True)[1]
@@ -142,16 +157,22 @@ class Roadmap:
             self._graph = self._straight_ways(self.places)
 
     def _thinned(self, way: FloatArray) -> FloatArray:
-        """The turning points of a path (n, 2), m, and points between them so that each is joined to the next."""
+        """The turning points of a path (n, 2), m, and points between them so that each is joined to
+        the next.
+        """
         turns = self.pulled(way)
         return sample(np.hstack((turns[:-1], turns[1:])), 0.9 * _FARTHEST * self._spacing)[0]
 
     def _straight_ways(self, places: FloatArray) -> sparse.csr_array:
         pairs = cKDTree(places).query_pairs(_FARTHEST * self._spacing, output_type="ndarray")
         batches = np.array_split(pairs, len(pairs) // _PAIRS_AT_ONCE + 1)
-        costs = np.concatenate([self._costs(places[batch[:, 0]], places[batch[:, 1]]) for batch in batches])
+        costs = np.concatenate(
+            [self._costs(places[batch[:, 0]], places[batch[:, 1]]) for batch in batches]
+        )
         pairs, costs = pairs[costs < np.inf], np.maximum(costs[costs < np.inf], 1e-9)
-        return sparse.csr_array((costs, (pairs[:, 0], pairs[:, 1])), shape=(len(places), len(places)))
+        return sparse.csr_array(
+            (costs, (pairs[:, 0], pairs[:, 1])), shape=(len(places), len(places))
+        )
 
     def _tree(self, place: int) -> tuple[FloatArray, IntArray]:
         if place not in self._known:
@@ -166,14 +187,20 @@ class Roadmap:
 
 
 def _lengths_and_predecessors(graph: sparse.csr_array, node: int) -> tuple[FloatArray, IntArray]:
-    """Shortest paths from a node of an undirected graph: lengths (n,), and the predecessors (n,), negative for none."""
+    """Shortest paths from a node of an undirected graph: lengths (n,), and the predecessors (n,),
+    negative for none.
+    """
     # scipy's own types ask for an array of nodes, and then give rows.
-    lengths, before = csgraph.dijkstra(graph, directed=False, indices=np.array([node]), return_predecessors=True)
+    lengths, before = csgraph.dijkstra(
+        graph, directed=False, indices=np.array([node]), return_predecessors=True
+    )
     return np.asarray(lengths[0]), np.asarray(before[0])
 
 
 class _FineWays:
-    """Shortest paths from cell to cell, for passages that straight lines between places do not cross."""
+    """Shortest paths from cell to cell, for passages that straight lines between places do not
+    cross.
+    """
 
     def __init__(self, drivable: BoolArray, tight: BoolArray, start: IntArray) -> None:
         self._numbers = np.cumsum(drivable).reshape(drivable.shape) - 1
@@ -190,7 +217,9 @@ class _FineWays:
             columns.append(self._numbers[other_row, other_column])
             costs.append(0.5 * (cost[row, column] + cost[other_row, other_column]))
         shape = (len(self._cells), len(self._cells))
-        graph = sparse.csr_array((np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+        graph = sparse.csr_array(
+            (np.concatenate(costs), (np.concatenate(rows), np.concatenate(columns))), shape=shape
+        )
         first = int(self._numbers[tuple(start)])
         _, self._before = _lengths_and_predecessors(graph, first)
 
@@ -213,7 +242,8 @@ class Speeds(NamedTuple):
 def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Speeds) -> FloatArray:
     """Poses (n, 3) at each control step from ``start`` (3,) on along waypoints (k, 2), m.
 
-    The robot turns on the spot towards each waypoint, drives there on a straight line, and continues in the next step.
+    The robot turns on the spot towards each waypoint, drives there on a straight line, and
+    continues in the next step.
     """
     points = np.vstack((start[None, :2], way))
     spans = np.diff(points, axis=0)
@@ -222,7 +252,8 @@ def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Sp
     points, spans, lengths = points[np.append(True, moves)], spans[moves], lengths[moves]
     turns = wrap_angle(np.diff(np.append(start[2], np.arctan2(spans[:, 1], spans[:, 0]))))
     headings = start[2] + np.append(0.0, np.cumsum(turns))
-    # Numbers of control steps: of the turn, of the drive, and of the rest of the step in which the drive ends.
+    # Numbers of control steps: of the turn, of the drive, and of the rest of the step in which the
+    # drive ends.
     turning = np.abs(turns) / (speeds.turn * robot.control_period)
     driving = lengths / (speeds.drive * robot.control_period)
     waiting = np.ceil(turning + driving - 1e-6) - turning - driving
@@ -244,7 +275,12 @@ def loop_tour(world: World, robot: RobotSpec, start: FloatArray, laps: int = 1) 
     first = (int(np.argmin(np.hypot(*(world.loop - place).T))) + 1) % len(world.loop)
     corners = np.tile(np.roll(world.loop, -first, axis=0), (laps, 1))
     roads = Roadmap(world, robot.radius, place)
-    ways = [roads.way(here, there) for here, there in zip((place, *corners[:-1]), corners, strict=True)]
+    ways = [
+        roads.way(here, there) for here, there in zip((place, *corners[:-1]), corners, strict=True)
+    ]
     if any(way is None for way in ways):
-        raise WorldError(f"world {world.name!r}: a robot of {robot.radius:g} m radius cannot drive along its loop")
+        raise WorldError(
+            f"world {world.name!r}: a robot of {robot.radius:g} m radius cannot drive along its "
+            "loop"
+        )
     return np.vstack([way for way in ways if way is not None])

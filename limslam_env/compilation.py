@@ -2,9 +2,10 @@
 
 Only this module and ``limslam_env.linking``, which makes numba compile faster, import numba.
 
-numba can keep compiled code on disk. It discards that code when the file of the compiled function changes, but the
-code also contains every function and every constant that the function uses from other files. Here the code is
-discarded whenever the text of any file changes in the packages that the decorator names.
+numba can keep compiled code on disk. It discards that code when the file of the compiled function
+changes, but the code also contains every function and every constant that the function uses from
+other files. Here the code is discarded whenever the text of any file changes in the packages that
+the decorator names.
 """
 
 import contextlib
@@ -31,12 +32,18 @@ _SECONDS = {"advance": 7, "step_some": 25}
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
-ENV_SOURCES = ("limslam_env.compilation", "limslam_env.linking", "limslam_env.geometry", "limslam_env.kernels")
+ENV_SOURCES = (
+    "limslam_env.compilation",
+    "limslam_env.linking",
+    "limslam_env.geometry",
+    "limslam_env.kernels",
+)
 """The module and the packages that the kernels of ``limslam_env`` are made of."""
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
-# Leaves out the counting of references to arrays. The option is not public; a numba without it ignores it.
+# Leaves out the counting of references to arrays. The option is not public; a numba without it
+# ignores it.
 _LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
 
 
@@ -54,7 +61,9 @@ def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
 
 @contextlib.contextmanager
 def _without_collection() -> Iterator[None]:
-    """Leave the search for unused objects until later: it takes a tenth of the time and finds next to nothing."""
+    """Leave the search for unused objects until later: it takes a tenth of the time and finds next
+    to nothing.
+    """
     if not gc.isenabled():
         yield
         return
@@ -66,9 +75,11 @@ def _without_collection() -> Iterator[None]:
 
 
 def _link(function: Any, is_kernel: bool) -> None:
-    """Leave a function to ``limslam_env.linking``, which is loaded when something is compiled: most starts need none.
+    """Leave a function to ``limslam_env.linking``, which is loaded when something is compiled: most
+    starts need none.
 
-    Calls with constants share the code of calls with variables. numba compiles a function for each constant.
+    Calls with constants share the code of calls with variables. numba compiles a function for each
+    constant.
     """
     part = function._compiler  # noqa: SLF001
     compile_core, of_types = part._compile_core, function.get_call_template  # noqa: SLF001
@@ -83,7 +94,9 @@ def _link(function: Any, is_kernel: bool) -> None:
 
     def of_plain_types(arguments: Any, named: Any) -> Any:
         plain = tuple(types.unliteral(argument) for argument in arguments)
-        return of_types(plain, {name: types.unliteral(argument) for name, argument in named.items()})
+        return of_types(
+            plain, {name: types.unliteral(argument) for name, argument in named.items()}
+        )
 
     part._compile_core = compile_by_linking  # noqa: SLF001
     function.get_call_template = of_plain_types
@@ -100,12 +113,16 @@ def inlined(kernel: Kernel) -> Kernel:
 
 
 def merged(kernel: Kernel) -> Kernel:
-    """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy into its callers."""
+    """Compile a function with loops or several returns, which makes no arrays, for LLVM to copy
+    into its callers.
+    """
     return cast(Kernel, _njit(kernel, forceinline=True, **_LEAN))
 
 
 def algebra(kernel: Kernel) -> Kernel:
-    """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded once, together."""
+    """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded
+    once, together.
+    """
     return cast(Kernel, _njit(kernel, fastmath={"contract"}, **_OPTIONS))
 
 
@@ -122,11 +139,14 @@ def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
         strides = cgutils.unpack_tuple(builder, struct.strides)
         terms = [builder.mul(place, stride) for place, stride in zip(places, strides, strict=True)]
         address = builder.ptrtoint(struct.data, places[0].type)
-        pointer = builder.inttoptr(builder.add(address, builder.add(*terms)), ir.IntType(8).as_pointer())
+        pointer = builder.inttoptr(
+            builder.add(address, builder.add(*terms)), ir.IntType(8).as_pointer()
+        )
         number = ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
         function = builder.module.declare_intrinsic("llvm.prefetch", (pointer.type,), kind)
-        # The arguments say that the memory will be read (0), stays in all caches (3), and holds data and no code (1).
+        # The arguments say that the memory will be read (0), stays in all caches (3), and holds
+        # data and no code (1).
         builder.call(function, [pointer, *(ir.Constant(number, value) for value in (0, 3, 1))])
         return context.get_dummy_value()
 
@@ -134,7 +154,9 @@ def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
 
 
 prefetch: Callable[[Any, Any, Any], None] = cast(Any, intrinsic(_prefetch))
-"""Asks the processor for ``array[row, column]``, which is used soon. The place may lie outside of the array."""
+"""Asks the processor for ``array[row, column]``, which is used soon. The place may lie outside of
+the array.
+"""
 
 
 def _next_of(typing_context: Any, counter: Any) -> Any:
@@ -149,21 +171,27 @@ def _next_of(typing_context: Any, counter: Any) -> Any:
 
 
 next_of: Callable[[Any], int] = cast(Any, intrinsic(_next_of))
-"""The first number of an array of int64, which is then one larger: threads that share the array get different ones."""
+"""The first number of an array of int64, which is then one larger: threads that share the array get
+different ones.
+"""
 
 
 @inlined
 def floored(number: float) -> int:
-    """The largest whole number that is not above a number. On a GPU, ``math.floor`` alone gives another float."""
+    """The largest whole number that is not above a number. On a GPU, ``math.floor`` alone gives
+    another float.
+    """
     return int(math.floor(number))  # noqa: RUF046
 
 
 def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel]:
-    """A decorator for kernels that Python calls: they are compiled at the first call, and kept on disk.
+    """A decorator for kernels that Python calls: they are compiled at the first call, and kept on
+    disk.
 
-    ``sources`` are the modules and packages (without the packages inside of them) whose functions and constants the
-    kernels use, besides ``ENV_SOURCES``. Kernels that make no arrays, nor call functions that make some, run without
-    counting references to arrays, so that arrays can be handed from function to function at no cost.
+    ``sources`` are the modules and packages (without the packages inside of them) whose functions
+    and constants the kernels use, besides ``ENV_SOURCES``. Kernels that make no arrays, nor call
+    functions that make some, run without counting references to arrays, so that arrays can be
+    handed from function to function at no cost.
     """
     options = _OPTIONS if allocates else _LEAN
 
@@ -176,7 +204,8 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
                 "set NUMBA_CACHE_DIR to a folder"
             )
             kept = None
-        # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
+        # numba has no public way to add to what it compares. Without the attribute nothing can be
+        # kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
             return cast(Kernel, _njit(kernel, is_kernel=True, **options))
@@ -191,9 +220,11 @@ _announce_once = functools.cache(announce)
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Any:
-    """What compiled code knows of its function: its constants, and the globals, which no code of ours reads.
+    """What compiled code knows of its function: its constants, and the globals, which no code of
+    ours reads.
 
-    numba imports the modules of its own functions for the latter, which takes longer than to load all kernels.
+    numba imports the modules of its own functions for the latter, which takes longer than to load
+    all kernels.
     """
     known = environment.lookup_environment(name)
     if known is None:
@@ -204,10 +235,12 @@ def _environment(module: str, constants: list[Any], name: str) -> Any:
 
 
 def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
-    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take long, and the first.
+    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take
+    long, and the first.
 
-    numba loads all that it could need to compile something before it looks at the disk, which takes longer than to
-    load an agent. Its compiler loads the same, so here code from the disk does without it.
+    numba loads all that it could need to compile something before it looks at the disk, which takes
+    longer than to load an agent. Its compiler loads the same, so here code from the disk does
+    without it.
     """
     # Not public either: numba asks its cache for the code before it compiles.
     cache = kept._cache  # noqa: SLF001
@@ -225,7 +258,8 @@ def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
             announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
         elif found is None:
             _announce_once(
-                "compiling small kernels, once, a few seconds; `limslam warmup` compiles all of them beforehand"
+                "compiling small kernels, once, a few seconds; `limslam warmup` compiles all of "
+                "them beforehand"
             )
         return found
 

@@ -48,13 +48,16 @@ class NoiseConfig:
         By how much a reading rises per metre that a wall is nearer than ``min_range``, as that of a
         triangulating sensor does; 0 reads ``min_range`` there.
     cone
-        Half the opening of a beam, rad: it reads the nearest of what five rays across it meet. 0 is one ray.
+        Half the opening of a beam, rad: it reads the nearest of what five rays across it meet. 0 is
+        one ray.
     wheel_variance
         Variance of a wheel's reported travel, m^2 per metre of travel.
     encoder_resolution
-        Smallest travel that an encoder tells apart, m; what is left over counts next time. 0 is exact.
+        Smallest travel that an encoder tells apart, m; what is left over counts next time. 0 is
+        exact.
     wheel_mismatch
-        Share by which the left encoder reports too much and the right one too little (unequal wheels).
+        Share by which the left encoder reports too much and the right one too little (unequal
+        wheels).
     axle_mismatch
         Share by which the wheels are farther apart than the data sheet says.
     slip_rate
@@ -84,14 +87,17 @@ class NoiseConfig:
             lowest, highest = _BOUNDS[name]
             if not _lies_within(value, lowest, highest):
                 raise ValueError(
-                    f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such numbers, not {value}"
+                    f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such "
+                    f"numbers, not {value}"
                 )
 
     @classmethod
     def sharp(cls, **changes: Setting) -> Self:
-        """Noise of triangulating infrared sensors such as Sharp's, with dropouts, steps, fold-back and a cone.
+        """Noise of triangulating infrared sensors such as Sharp's, with dropouts, steps, fold-back
+        and a cone.
 
-        ``changes`` add or replace settings. The values have the order of magnitude of a GP2Y0A02's data sheet.
+        ``changes`` add or replace settings. The values have the order of magnitude of a GP2Y0A02's
+        data sheet.
         """
         typical: dict[str, Setting] = {
             "sensor_noise": 0.005,
@@ -109,7 +115,9 @@ class NoiseConfig:
         A number is drawn for every setting, so that making one of them a range shifts no other.
         """
         values = {}
-        for (name, setting), share in zip(vars(self).items(), generator.random(len(vars(self))), strict=True):
+        for (name, setting), share in zip(
+            vars(self).items(), generator.random(len(vars(self))), strict=True
+        ):
             low, high = bounds_of(setting)
             values[name] = low + (high - low) * float(share)
         return NoiseConfig(**values)

@@ -1,7 +1,8 @@
-"""What an agent may know: the robot's specification, its nominal noise, and the form of an observation.
+"""What an agent may know: the robot's specification, its nominal noise, and the form of an
+observation.
 
-Besides ``geometry`` and ``compilation`` this is the only module of the simulator that an agent may import. Nothing in
-it gives access to the ground truth.
+Besides ``geometry`` and ``compilation`` this is the only module of the simulator that an agent may
+import. Nothing in it gives access to the ground truth.
 """
 
 import json
@@ -27,7 +28,9 @@ _ROUNDING = 1e-6
 
 
 LARGEST_BODY = 5.0
-"""Largest radius of a robot, and largest coordinate of a beam on it, m. A larger number is in another unit."""
+"""Largest radius of a robot, and largest coordinate of a beam on it, m. A larger number is in
+another unit.
+"""
 
 LARGEST_CONE = 0.25 * math.pi
 """Largest half opening angle of a beam, rad. A wider one says too little about where a wall is."""
@@ -46,10 +49,11 @@ class Observation(TypedDict):
 
     ``ranges`` (n_beams,) in metres, a beam's maximum where it sees nothing; ``wheels`` (2,),
     left and right wheel travel in metres since the last observation. Without ``ranges`` nothing was
-    measured. An agent also takes what other sensors report: infinity and anything at or beyond the maximum mean that
-    nothing was seen, 0 up to the minimum means that something may be near, and NaN and negative numbers are skipped and
-    counted. Recorded logs that hold poses instead of wheel travel give ``odometry`` (3,), the motion since the last
-    observation in the robot's frame at that time (m, m, rad), and leave ``wheels`` out.
+    measured. An agent also takes what other sensors report: infinity and anything at or beyond the
+    maximum mean that nothing was seen, 0 up to the minimum means that something may be near, and
+    NaN and negative numbers are skipped and counted. Recorded logs that hold poses instead of wheel
+    travel give ``odometry`` (3,), the motion since the last observation in the robot's frame at
+    that time (m, m, rad), and leave ``wheels`` out.
     """
 
     ranges: NotRequired[NDArray[np.floating[Any]]]
@@ -58,8 +62,11 @@ class Observation(TypedDict):
 
 
 def side_of(angle: float) -> Side:
-    """The buffer that a beam at ``angle`` (rad, 0 is ahead) fills: walls beside the robot, not ahead or behind."""
-    # A beam exactly at a limit is on no side. Otherwise rounding could give two mirrored beams different sides.
+    """The buffer that a beam at ``angle`` (rad, 0 is ahead) fills: walls beside the robot, not
+    ahead or behind.
+    """
+    # A beam exactly at a limit is on no side. Otherwise rounding could give two mirrored beams
+    # different sides.
     if SMALLEST_SIDE_ANGLE + _ROUNDING < abs(wrap_angle(angle)) < LARGEST_SIDE_ANGLE - _ROUNDING:
         return "left" if wrap_angle(angle) > 0.0 else "right"
     return "none"
@@ -94,17 +101,26 @@ class SensorSpec:
     period: int = 1
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.x, self.y, self.angle, self.min_range, self.max_range))):
+        if not all(
+            map(math.isfinite, (self.x, self.y, self.angle, self.min_range, self.max_range))
+        ):
             raise ValueError("a beam's place, angle and ranges must be finite")
         if max(map(abs, (self.x, self.y))) > LARGEST_BODY or self.max_range > LARGEST_RANGE:
             raise ValueError(
-                f"a beam's place and max_range must be metres, within {LARGEST_BODY:g} m of the robot's centre and at "
-                f"most {LARGEST_RANGE:g} m, not x {self.x:g}, y {self.y:g} and max_range {self.max_range:g}"
+                f"a beam's place and max_range must be metres, within {LARGEST_BODY:g} m of the "
+                "robot's centre and at "
+                f"most {LARGEST_RANGE:g} m, not x {self.x:g}, y {self.y:g} and max_range "
+                f"{self.max_range:g}"
             )
         if abs(self.angle) > 4.0 * math.pi:
-            raise ValueError(f"a beam's angle is within 4 pi rad, not {self.angle:g}: is it in rad?")
+            raise ValueError(
+                f"a beam's angle is within 4 pi rad, not {self.angle:g}: is it in rad?"
+            )
         if not 0.0 <= self.min_range < self.max_range:
-            raise ValueError(f"a beam needs 0 <= min_range < max_range, not {self.min_range} and {self.max_range}")
+            raise ValueError(
+                f"a beam needs 0 <= min_range < max_range, not {self.min_range} and "
+                f"{self.max_range}"
+            )
         if self.side is None:
             object.__setattr__(self, "side", side_of(self.angle))
         if self.side not in {"left", "right", "none"}:
@@ -116,18 +132,27 @@ class SensorSpec:
 def beams_on_rim(
     degrees: tuple[float, ...], radius: float, *, min_range: float = 0.05, max_range: float = 1.5
 ) -> tuple[SensorSpec, ...]:
-    """Beams that start on a circle of ``radius`` (m) and point straight out, at the given angles in degrees.
+    """Beams that start on a circle of ``radius`` (m) and point straight out, at the given angles in
+    degrees.
 
     Raises
     ------
     ValueError
-        If the angles are in radians: all lie between -2 pi and 2 pi, and all are whole numbers of degrees in radians.
+        If the angles are in radians: all lie between -2 pi and 2 pi, and all are whole numbers of
+        degrees in radians.
     """
     given = [math.degrees(degree) for degree in degrees if degree]
-    if given and all(abs(turn) <= 360.1 and abs(turn - round(turn)) < _NEAR_WHOLE for turn in given):
-        raise ValueError(f"the angles of beams_on_rim are degrees, but {tuple(degrees)} look like radians")
+    if given and all(
+        abs(turn) <= 360.1 and abs(turn - round(turn)) < _NEAR_WHOLE for turn in given
+    ):
+        raise ValueError(
+            f"the angles of beams_on_rim are degrees, but {tuple(degrees)} look like radians"
+        )
     angles = [math.radians(degree) for degree in degrees]
-    return tuple(SensorSpec(radius * math.cos(a), radius * math.sin(a), a, min_range, max_range) for a in angles)
+    return tuple(
+        SensorSpec(radius * math.cos(a), radius * math.sin(a), a, min_range, max_range)
+        for a in angles
+    )
 
 
 PAPER_BEAMS_DEG = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
@@ -151,8 +176,8 @@ class RobotSpec:
     beams
         The range sensors, in the order of the observation.
     cone
-        Half the opening angle of the beams, rad, as the data sheet gives it: a beam reads the nearest of what lies
-        inside it. 0 is a ray, as the beams of laser sensors nearly are.
+        Half the opening angle of the beams, rad, as the data sheet gives it: a beam reads the
+        nearest of what lies inside it. 0 is a ray, as the beams of laser sensors nearly are.
     """
 
     radius: float = 0.10
@@ -171,11 +196,13 @@ class RobotSpec:
             if getattr(self, name) > largest:
                 unit = "m/s" if name == "max_wheel_speed" else "m"
                 raise ValueError(
-                    f"a robot's {name} is at most {largest:g} {unit}, not {getattr(self, name):g}: is it in {unit}?"
+                    f"a robot's {name} is at most {largest:g} {unit}, not "
+                    f"{getattr(self, name):g}: is it in {unit}?"
                 )
         if not 0.0 <= self.cone <= LARGEST_CONE:
             raise ValueError(
-                f"a robot's cone is half the opening angle of its beams, from 0 to {LARGEST_CONE:.2f} rad, "
+                "a robot's cone is half the opening angle of its beams, from 0 to "
+                f"{LARGEST_CONE:.2f} rad, "
                 f"not {self.cone:g}: is it in rad?"
             )
         object.__setattr__(self, "beams", tuple(self.beams))
@@ -211,7 +238,9 @@ class RobotSpec:
 
     @cached_property
     def too_near(self) -> FloatArray:
-        """Readings (n_beams,), m, up to which something is near, but not measured: the shortest, rounding allowed."""
+        """Readings (n_beams,), m, up to which something is near, but not measured: the shortest,
+        rounding allowed.
+        """
         return _read_only(list(self.min_ranges * (1.0 + _ROUNDING)))
 
     @cached_property
@@ -223,10 +252,16 @@ class RobotSpec:
     def beam_table(self) -> FloatArray:
         """The beams as compiled functions read them, (n_beams, 8).
 
-        The columns are the origin's x and y, m, the direction's x and y, ``too_near``, ``too_far``, the angle, rad, and
-        the longest reading, m.
+        The columns are the origin's x and y, m, the direction's x and y, ``too_near``, ``too_far``,
+        the angle, rad, and the longest reading, m.
         """
-        columns = self.beam_origins, self.beam_directions, self.too_near, self.too_far, self.beam_angles
+        columns = (
+            self.beam_origins,
+            self.beam_directions,
+            self.too_near,
+            self.too_far,
+            self.beam_angles,
+        )
         return _read_only(list(np.column_stack((*columns, self.max_ranges))))
 
     @cached_property
@@ -236,11 +271,15 @@ class RobotSpec:
 
     @property
     def max_wheel_travel(self) -> float:
-        """Largest wheel travel that an observation reports, m: twice what the motors can do in a step."""
+        """Largest wheel travel that an observation reports, m: twice what the motors can do in a
+        step.
+        """
         return 2.0 * self.max_wheel_speed * self.control_period
 
     def measures(self, step: int) -> BoolArray:
-        """Which beams (n_beams,) take a new measurement at a step; the first observation is step 0."""
+        """Which beams (n_beams,) take a new measurement at a step; the first observation is step
+        0.
+        """
         return np.asarray(step % self._periods == 0)
 
     @cached_property
@@ -275,7 +314,10 @@ class RobotSpec:
 def _check_beam(beam: object) -> None:
     if not isinstance(beam, SensorSpec):
         kind = type(beam).__name__
-        raise TypeError(f"each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type {kind}")
+        raise TypeError(
+            "each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type "
+            f"{kind}"
+        )
 
 
 def _read_only(values: list[Any]) -> FloatArray:
@@ -308,4 +350,6 @@ class NominalNoise:
 
 def largest_noise(noises: Sequence[NominalNoise]) -> NominalNoise:
     """The noise that one filter for several robots is told: the largest of each kind."""
-    return NominalNoise(max(one.range_std for one in noises), max(one.wheel_variance for one in noises))
+    return NominalNoise(
+        max(one.range_std for one in noises), max(one.wheel_variance for one in noises)
+    )

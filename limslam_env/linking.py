@@ -1,13 +1,16 @@
-"""A faster way through numba's compiler: machine code is made only of the functions that Python calls.
+"""A faster way through numba's compiler: machine code is made only of the functions that Python
+calls.
 
-numba optimises each function and makes machine code of it, and does both again for every function that calls it. Here
-a function that is compiled for another one stays as it is until it is linked into a function that Python calls. If
-Python calls the inner function later, its machine code is made then. The results are the same, since neither way
-changes the order of floating-point operations.
+numba optimises each function and makes machine code of it, and does both again for every function
+that calls it. Here a function that is compiled for another one stays as it is until it is linked
+into a function that Python calls. If Python calls the inner function later, its machine code is
+made then. The results are the same, since neither way changes the order of floating-point
+operations.
 
-This uses parts of numba that are not public. ``limslam_env.compilation`` uses it for the versions of numba that it was
-tried with, and compiles as usual with others. All changes to numba's objects last for one compilation: they are made
-under numba's compiler lock, and undone when the function is done. Loading code from disk meanwhile is numba's own.
+This uses parts of numba that are not public. ``limslam_env.compilation`` uses it for the versions
+of numba that it was tried with, and compiles as usual with others. All changes to numba's objects
+last for one compilation: they are made under numba's compiler lock, and undone when the function is
+done. Loading code from disk meanwhile is numba's own.
 """
 
 import contextlib
@@ -40,7 +43,9 @@ class _Kernel(codegen.JITCodeLibrary):
     """Code of a function that Python calls."""
 
     def _optimize_functions(self, ll_module: Any) -> None:
-        """Make the code shorter. All that numba does here is done again once the functions inside are linked."""
+        """Make the code shorter. All that numba does here is done again once the functions inside
+        are linked.
+        """
         target = self._codegen
         ll_module.data_layout = target._data_layout  # noqa: SLF001
         passes = newpassmanagers.create_new_module_pass_manager()
@@ -54,7 +59,9 @@ class _Library(_Kernel):
     """Code of a function that is handed on to the functions that call it, without machine code."""
 
     wrapped: tuple[Any, ...] | None = None
-    """What numba's wrapper for calls from Python is made of: context, description, environment, helper, lock."""
+    """What numba's wrapper for calls from Python is made of: context, description, environment,
+    helper, lock.
+    """
     _has_machine_code = False
 
     def _optimize_final_module(self) -> None:
@@ -76,7 +83,9 @@ class _Library(_Kernel):
 
 
 class _Later:
-    """Takes the place of the machine code of a function, and makes it when Python calls the function."""
+    """Takes the place of the machine code of a function, and makes it when Python calls the
+    function.
+    """
 
     def __init__(self, library: _Library) -> None:
         self.library = library
@@ -87,12 +96,16 @@ class _Later:
     @functools.cached_property
     def _code(self) -> Any:
         if self.library.wrapped is None:
-            raise RuntimeError(f"{self.library.name!r} was compiled for calls from other compiled functions only")
+            raise RuntimeError(
+                f"{self.library.name!r} was compiled for calls from other compiled functions only"
+            )
         context, description, environment, helper, release_gil = self.library.wrapped
         with global_compiler_lock:
             library = _Kernel(context.codegen(), self.library.name)
             library.add_linking_library(self.library)
-            context.create_cpython_wrapper(library, description, environment, helper, release_gil=release_gil)
+            context.create_cpython_wrapper(
+                library, description, environment, helper, release_gil=release_gil
+            )
             code = _executable(context, library, description, environment)
             # Functions that are compiled from now on find this one by its machine code.
             context.insert_user_function(code, description, [self.library])
@@ -105,19 +118,25 @@ _create_wrapper = lowering.Lower.create_cpython_wrapper
 
 
 def _executable(context: Any, library: Any, description: Any, environment: Any) -> Any:
-    """What Python calls. The environments of all functions inside of it are set, as numba does for code from disk."""
+    """What Python calls. The environments of all functions inside of it are set, as numba does for
+    code from disk.
+    """
     if isinstance(library, _Library):
         return _Later(library)
     code = _usual_executable(context, library, description, environment)
     for variable in library._final_module.global_variables:  # noqa: SLF001
-        known = lookup_environment(variable.name) if variable.name.startswith("_ZN08NumbaEnv") else None
+        known = (
+            lookup_environment(variable.name) if variable.name.startswith("_ZN08NumbaEnv") else None
+        )
         if known is not None:
             library.codegen.set_env(variable.name, known)
     return code
 
 
 def _insert(owner: Any, made: Any) -> None:
-    """Keep what was compiled with its function. Python does not find machine code that does not exist yet."""
+    """Keep what was compiled with its function. Python does not find machine code that does not
+    exist yet.
+    """
     if isinstance(made.entry_point, _Later):
         owner.overloads[tuple(made.signature.args)] = made
     else:
@@ -127,7 +146,13 @@ def _insert(owner: Any, made: Any) -> None:
 def _wrap(lower: Any, release_gil: Any) -> None:
     """Write the wrapper for calls from Python, or remember what it needs."""
     if isinstance(lower.library, _Library) and not lower.genlower:
-        lower.library.wrapped = lower.context, lower.fndesc, lower.env, lower.call_helper, release_gil
+        lower.library.wrapped = (
+            lower.context,
+            lower.fndesc,
+            lower.env,
+            lower.call_helper,
+            release_gil,
+        )
         return
     _create_wrapper(lower, release_gil)
 
@@ -137,7 +162,9 @@ def _wrap_for_c(lower: Any) -> None:
 
 
 def _raise_of_shapes(source: Any, target: Any) -> Any:
-    """Take the place of numba's error about unequal shapes, which is 25 functions, since its message has both."""
+    """Take the place of numba's error about unequal shapes, which is 25 functions, since its
+    message has both.
+    """
     raise NotImplementedError
 
 
@@ -159,13 +186,17 @@ _OPTIONS_HASH: int = hash(compiler.Flags())
 
 
 def _hash(options: Any) -> int:
-    """The hash of compiler options: numba makes it of their names only, and computes it anew each time."""
+    """The hash of compiler options: numba makes it of their names only, and computes it anew each
+    time.
+    """
     del options
     return _OPTIONS_HASH
 
 
 def _equal(first: Any, second: Any) -> Any:
-    """Whether compiler options are equal; only those that differ from their defaults are compared."""
+    """Whether compiler options are equal; only those that differ from their defaults are
+    compared.
+    """
     if type(first) is not type(second):
         return _usual_equal(first, second)
     ours, theirs = first._values, second._values  # noqa: SLF001
@@ -197,7 +228,9 @@ _usual_lifetimes = postproc.PostProcessor.run
 
 
 def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool = False) -> None:  # noqa: FBT002
-    """Where variables are alive: numba works it out after each step, and only generators and the last step ask."""
+    """Where variables are alive: numba works it out after each step, and only generators and the
+    last step ask.
+    """
     code = processor.func_ir
     if emit_dels or code.is_generator:
         _usual_lifetimes(processor, emit_dels, extend_lifetimes)
@@ -207,7 +240,9 @@ def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool =
 
 
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
-    """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
+    """Leave an error message as it is: numba writes thousands of them while it tries which
+    functions fit.
+    """
     del scheme, colours
     return message
 
@@ -236,7 +271,9 @@ def _linking(target: Any) -> Iterator[None]:
         return _Library(target, name, **options)
 
     def load(serialized: Any) -> Any:
-        with _replaced(target, create_library=functools.partial(type(target).create_library, target)):
+        with _replaced(
+            target, create_library=functools.partial(type(target).create_library, target)
+        ):
             return type(target).unserialize_library(target, serialized)
 
     with (
@@ -255,7 +292,9 @@ def _linking(target: Any) -> Iterator[None]:
 
 @compiler_machinery.register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(typed_passes.NativeLowering):
-    """The step that writes the code of a function that Python calls: into a library with machine code."""
+    """The step that writes the code of a function that Python calls: into a library with machine
+    code.
+    """
 
     _name = "limslam_lowering"
 
@@ -266,7 +305,9 @@ class _Lowering(typed_passes.NativeLowering):
 
 
 class InnerPipeline(compiler.CompilerBase):
-    """Compiles a function for other compiled functions; if Python calls it first, it is compiled as a kernel."""
+    """Compiles a function for other compiled functions; if Python calls it first, it is compiled as
+    a kernel.
+    """
 
     is_kernel = False
     depth = 0
@@ -276,7 +317,8 @@ class InnerPipeline(compiler.CompilerBase):
         steps = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
         if self.is_kernel or InnerPipeline.depth == 1:
             steps.passes = [
-                (_Lowering if step is typed_passes.NativeLowering else step, name) for step, name in steps.passes
+                (_Lowering if step is typed_passes.NativeLowering else step, name)
+                for step, name in steps.passes
             ]
             steps.finalize()
         return [steps]
@@ -299,10 +341,14 @@ class KernelPipeline(InnerPipeline):
     is_kernel = True
 
 
-def compile_or_retry(part: Any, compile_core: Callable[..., Any], arguments: Any, *, is_kernel: bool) -> Any:
-    """Compile a function, which Python calls or not, here, or as numba does by itself if that fails.
+def compile_or_retry(
+    part: Any, compile_core: Callable[..., Any], arguments: Any, *, is_kernel: bool
+) -> Any:
+    """Compile a function, which Python calls or not, here, or as numba does by itself if that
+    fails.
 
-    ``compile_core`` is the method of ``part``, the function's compiler, that compiles with these arguments.
+    ``compile_core`` is the method of ``part``, the function's compiler, that compiles with these
+    arguments.
     """
     part.pipeline_class = KernelPipeline if is_kernel else InnerPipeline
     try:

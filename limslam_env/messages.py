@@ -1,13 +1,19 @@
-"""Text from files and from users in messages: short, on one line, and without characters that control a terminal."""
+"""Text from files and from users in messages: short, on one line, and without characters that
+control a terminal.
+"""
 
 import os
 import sys
 
 QUIET = "LIMSLAM_QUIET"
-"""Name of the environment variable that switches off the messages about what takes long, if it is not empty."""
+"""Name of the environment variable that switches off the messages about what takes long, if it is
+not empty.
+"""
 
 LONGEST_MESSAGE = 500
-"""Most characters of a refusal. A longer message keeps its beginning, with the file, and its end, with the reason."""
+"""Most characters of a refusal. A longer message keeps its beginning, with the file, and its end,
+with the reason.
+"""
 
 LONGEST_VALUE = 200
 """Most characters of a value in a message."""
@@ -18,7 +24,9 @@ _CUT = " ... "
 def printable(text: str) -> str:
     """A text in which each character that a terminal cannot print is written as its escape."""
     return "".join(
-        letter if letter.isprintable() else letter.encode("unicode_escape", "surrogatepass").decode("ascii")
+        letter
+        if letter.isprintable()
+        else letter.encode("unicode_escape", "surrogatepass").decode("ascii")
         for letter in text
     )
 
@@ -26,7 +34,9 @@ def printable(text: str) -> str:
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
     """A message on one line, printable, and with at most ``longest`` characters."""
     # Of a very long text only the ends are looked at.
-    ends = text if len(text) <= 20 * longest else text[: 10 * longest] + _CUT + text[-10 * longest :]
+    ends = (
+        text if len(text) <= 20 * longest else text[: 10 * longest] + _CUT + text[-10 * longest :]
+    )
     line = printable(" ".join(ends.split()))
     if len(line) <= longest:
         return line

@@ -1,7 +1,9 @@
-"""Scores of an estimate against the truth, and of the association of its data: pure functions on arrays.
+"""Scores of an estimate against the truth, and of the association of its data: pure functions on
+arrays.
 
 Poses are (x, y, theta) in m and rad, segments ``x1, y1, x2, y2`` in m, all in the world frame.
-A metric that does not apply (no door in the world, too short a drive) is None, never a made-up number.
+A metric that does not apply (no door in the world, too short a drive) is None, never a made-up
+number.
 """
 
 import functools
@@ -29,11 +31,14 @@ _STAND_SPACING, _FIRST_STANDS, _PAIRS_AT_ONCE = 0.1, 8, 1_000_000
 _ROBOT = -2
 
 WallSamples: TypeAlias = tuple[FloatArray, FloatArray, IntArray]
-"""Samples of walls: points (n, 2) in m, directions (n,) in [0, pi] rad, indices (n,) of the edges they lie on."""
+"""Samples of walls: points (n, 2) in m, directions (n,) in [0, pi] rad, indices (n,) of the edges
+they lie on.
+"""
 
 
 def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray:
-    """The rigid motion (3,) that brings estimated points (n, 2) onto the true ones (n, 2), in m, in least squares.
+    """The rigid motion (3,) that brings estimated points (n, 2) onto the true ones (n, 2), in m, in
+    least squares.
 
     Umeyama's alignment ("Least-squares estimation of transformation parameters between two point
     patterns", 1991) without scale, in its closed form for the plane, which knows no reflection.
@@ -48,15 +53,18 @@ def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray
     if min(np.abs(target).max(), np.abs(source).max()) > 1e-9:
         turned = np.sum(source[:, 0] * target[:, 1] - source[:, 1] * target[:, 0])
         theta = math.atan2(turned, np.sum(source * target))
-    return np.array([*(true_mean - transform_points(np.array([0.0, 0.0, theta]), mean[None])[0]), theta])
+    return np.array(
+        [*(true_mean - transform_points(np.array([0.0, 0.0, theta]), mean[None])[0]), theta]
+    )
 
 
 def trajectory_metrics(true: FloatArray, estimated: FloatArray) -> dict[str, float | None]:
     """Errors of an estimated trajectory (n, 3), n >= 1, against the true one (n, 3).
 
     ``ate_m`` is the root mean square (RMS) of the position error, ``ate_aligned_m`` the same after
-    :func:`rigid_alignment`; ``heading_rmse_deg`` and ``final_error_m`` are unaligned; ``rpe_m_per_m`` is the RMS error
-    of the motion over stretches of 1 m of true travel laid end to end, None if there is none (evo's RPE, delta 1 m).
+    :func:`rigid_alignment`; ``heading_rmse_deg`` and ``final_error_m`` are unaligned;
+    ``rpe_m_per_m`` is the RMS error of the motion over stretches of 1 m of true travel laid end to
+    end, None if there is none (evo's RPE, delta 1 m).
     """
     errors = np.linalg.norm(true[:, :2] - estimated[:, :2], axis=1)
     moved = transform_points(rigid_alignment(true[:, :2], estimated[:, :2]), estimated[:, :2])
@@ -71,27 +79,32 @@ def trajectory_metrics(true: FloatArray, estimated: FloatArray) -> dict[str, flo
     }
 
 
-def consistency_metrics(true: FloatArray, estimated: FloatArray, covariances: FloatArray) -> dict[str, float | None]:
+def consistency_metrics(
+    true: FloatArray, estimated: FloatArray, covariances: FloatArray
+) -> dict[str, float | None]:
     """Whether the errors of poses (n, 3) are as large as their covariances (n, 3, 3) say.
 
-    The normalised estimation error squared (NEES) is ``e^T P^-1 e`` (Bar-Shalom, Li and Kirubarajan,
-    "Estimation with Applications to Tracking and Navigation", section 5.4). Steps before 0.5 m of true travel are
-    left out, as the known start has P = 0. Where P is singular, or the result negative, NEES is infinite.
-    ``anees`` is the mean NEES / 3, above 1 when overconfident; ``nees_in_95`` the share of steps in the
-    two-sided 95 % chi-square band. Both are None if there are no such steps.
+    The normalised estimation error squared (NEES) is ``e^T P^-1 e`` (Bar-Shalom, Li and
+    Kirubarajan, "Estimation with Applications to Tracking and Navigation", section 5.4). Steps
+    before 0.5 m of true travel are left out, as the known start has P = 0. Where P is singular, or
+    the result negative, NEES is infinite. ``anees`` is the mean NEES / 3, above 1 when
+    overconfident; ``nees_in_95`` the share of steps in the two-sided 95 % chi-square band. Both are
+    None if there are no such steps.
     """
     counted = np.append(0.0, np.cumsum(_steps(true))) >= KNOWN_START
     if not counted.any():
         return {"anees": None, "nees_in_95": None}
     errors = true[counted] - estimated[counted]
     errors[:, 2] = wrap_angle(errors[:, 2])
-    # The sign of the determinant finds the matrices that ``solve`` would refuse, and the whole stack with them.
+    # The sign of the determinant finds the matrices that ``solve`` would refuse, and the whole
+    # stack with them.
     regular = np.linalg.slogdet(covariances[counted]).sign > 0.0
     nees = np.full(len(errors), np.inf)
     solved = np.linalg.solve(covariances[counted][regular], errors[regular, :, None])[..., 0]
     nees[regular] = np.einsum("ni,ni->n", errors[regular], solved)
     nees[nees < 0.0] = np.inf
-    # Quantiles of the chi-square distribution with three degrees of freedom; scipy.stats would take long to import.
+    # Quantiles of the chi-square distribution with three degrees of freedom; scipy.stats would take
+    # long to import.
     low, high = 2.0 * gammaincinv(1.5, (0.025, 0.975))
     inside = (nees >= low) & (nees <= high)
     return {"anees": float(np.mean(nees)) / 3.0, "nees_in_95": float(np.mean(inside))}
@@ -99,16 +112,22 @@ def consistency_metrics(true: FloatArray, estimated: FloatArray, covariances: Fl
 
 @functools.lru_cache(maxsize=8)
 def visible_samples(
-    world: World, radius: float, max_range: float, spacing: float = SAMPLE_SPACING, shortest: float = SHORTEST_SIDE
+    world: World,
+    radius: float,
+    max_range: float,
+    spacing: float = SAMPLE_SPACING,
+    shortest: float = SHORTEST_SIDE,
 ) -> WallSamples:
     """Samples of the true walls that a robot could see: what a complete map holds.
 
-    Each edge is cut into equal pieces of at most ``spacing`` (m), and each piece gives its middle if a free sight
-    line of at most ``max_range`` (m, from the robot's centre: a beam on the rim adds its radius) reaches it from
-    where a disc of ``radius`` (m) can get to from the world's starts, or without starts in the largest
-    closed region. Sides of obstacles below ``shortest`` (m) block the sight but give no samples.
+    Each edge is cut into equal pieces of at most ``spacing`` (m), and each piece gives its middle
+    if a free sight line of at most ``max_range`` (m, from the robot's centre: a beam on the rim
+    adds its radius) reaches it from where a disc of ``radius`` (m) can get to from the world's
+    starts, or without starts in the largest closed region. Sides of obstacles below ``shortest``
+    (m) block the sight but give no samples.
 
-    The latest results are kept, because a suite scores many runs in one world. The arrays are read-only.
+    The latest results are kept, because a suite scores many runs in one world. The arrays are
+    read-only.
     """
     edges = world.edges
     points, directions, owner = _samples(edges, spacing)
@@ -137,14 +156,17 @@ def wall_metrics(
 ) -> dict[str, float]:
     """How well estimated segments (m, 4) draw the true edges (k, 4).
 
-    A sample matches a segment of the other set within 10 cm (exact distance) whose direction differs by less
-    than 10 deg. Recall is over the visible samples (:func:`visible_samples` at its default spacing), precision
-    over samples of the estimate, each 5 cm, against all true edges: a mapped wall that truly exists is no error.
+    A sample matches a segment of the other set within 10 cm (exact distance) whose direction
+    differs by less than 10 deg. Recall is over the visible samples (:func:`visible_samples` at its
+    default spacing), precision over samples of the estimate, each 5 cm, against all true edges: a
+    mapped wall that truly exists is no error.
 
-    Names with ``_5cm`` use 5 cm instead; those with ``_aligned`` first move the estimate by ``alignment`` (3,), the
+    Names with ``_5cm`` use 5 cm instead; those with ``_aligned`` first move the estimate by
+    ``alignment`` (3,), the
     :func:`rigid_alignment` of the trajectories. So do, since a turned map is no invented wall,
-    ``spurious_walls`` (segments with less than half their samples matched), ``spurious_m`` (their length) and
-    ``duplicate_m`` (length of visible wall matched by more than one segment). An empty estimate has 0 for all.
+    ``spurious_walls`` (segments with less than half their samples matched), ``spurious_m`` (their
+    length) and ``duplicate_m`` (length of visible wall matched by more than one segment). An empty
+    estimate has 0 for all.
     """
     estimated = estimated.reshape(-1, 4)
     moved = transform_points(alignment, estimated.reshape(-1, 2)).reshape(-1, 4)
@@ -161,20 +183,29 @@ def wall_metrics(
 
 
 def doors_open(doors: FloatArray, estimated: FloatArray) -> float | None:
-    """Share of doors (d, 4) whose middle 40 % no estimated segment (m, 4) covers (within 10 cm, 30 deg)."""
+    """Share of doors (d, 4) whose middle 40 % no estimated segment (m, 4) covers (within 10 cm, 30
+    deg).
+    """
     if len(doors) == 0:
         return None
     low, high = (doors[:, :2] + part * (doors[:, 2:] - doors[:, :2]) for part in (0.3, 0.7))
-    # Samples are a tenth of the matching distance apart, so that no wall is missed between two of them.
+    # Samples are a tenth of the matching distance apart, so that no wall is missed between two of
+    # them.
     points, owner = sample(np.hstack((low, high)), 0.1 * NEAR)
-    matches = _matches((points, _directions(doors)[owner], owner), estimated.reshape(-1, 4), NEAR, DOOR_ANGLE)
+    matches = _matches(
+        (points, _directions(doors)[owner], owner), estimated.reshape(-1, 4), NEAR, DOOR_ANGLE
+    )
     return float(np.mean(np.bincount(owner, weights=matches, minlength=len(doors)) == 0.0))
 
 
 def coverage_times(time: FloatArray, coverage: FloatArray) -> dict[str, float | None]:
-    """First times (s), of those in ``time`` (n,), at which ``coverage`` (n,) reached 50, 90 and 95 %; None if never."""
+    """First times (s), of those in ``time`` (n,), at which ``coverage`` (n,) reached 50, 90 and 95
+    %; None if never.
+    """
     first = {level: np.flatnonzero(coverage >= level / 100.0)[:1] for level in (50, 90, 95)}
-    return {f"time_to_{level}_s": float(time[at[0]]) if at.size else None for level, at in first.items()}
+    return {
+        f"time_to_{level}_s": float(time[at[0]]) if at.size else None for level, at in first.items()
+    }
 
 
 def path_length(true: FloatArray) -> float:
@@ -188,20 +219,28 @@ def contacts_begun(collision: BoolArray) -> int:
 
 
 def coverage_claims(
-    claimed_free: FloatArray, claimed_cell: float, coverable: BoolArray, origin: FloatArray, cell: float
+    claimed_free: FloatArray,
+    claimed_cell: float,
+    coverable: BoolArray,
+    origin: FloatArray,
+    cell: float,
 ) -> dict[str, float | None]:
-    """What the agent calls free (``coverage_claimed``), and what of it truly is, at that place (``coverage_correct``).
+    """What the agent calls free (``coverage_claimed``), and what of it truly is, at that place
+    (``coverage_correct``).
 
-    The agent's free cells, of side ``claimed_cell``, have their centres at ``claimed_free`` (k, 2); the true cells,
-    of side ``cell``, are those of ``coverable`` (rows, columns), row 0 at the bottom, lower left corner at ``origin``
-    (2,), all in m. A claim is correct where its centre lies in a coverable cell. Both are shares of the
-    coverable area, so that no wrong claim raises ``coverage_correct``; None if that area is 0.
+    The agent's free cells, of side ``claimed_cell``, have their centres at ``claimed_free`` (k, 2);
+    the true cells, of side ``cell``, are those of ``coverable`` (rows, columns), row 0 at the
+    bottom, lower left corner at ``origin`` (2,), all in m. A claim is correct where its centre lies
+    in a coverable cell. Both are shares of the coverable area, so that no wrong claim raises
+    ``coverage_correct``; None if that area is 0.
     """
     area = float(np.count_nonzero(coverable)) * cell**2
     if area == 0.0:
         return {"coverage_claimed": None, "coverage_correct": None}
     columns, rows = np.floor((claimed_free.reshape(-1, 2) - origin) / cell).astype(int).T
-    inside = (rows >= 0) & (rows < coverable.shape[0]) & (columns >= 0) & (columns < coverable.shape[1])
+    inside = (
+        (rows >= 0) & (rows < coverable.shape[0]) & (columns >= 0) & (columns < coverable.shape[1])
+    )
     correct = np.count_nonzero(coverable[rows[inside], columns[inside]])
     share = claimed_cell**2 / area
     return {"coverage_claimed": len(rows) * share, "coverage_correct": float(correct) * share}
@@ -209,22 +248,31 @@ def coverage_claims(
 
 @dataclass(frozen=True)
 class AssociationEvent:
-    """One observed line, and the landmark that it was matched to or (``is_new``) that was created from it."""
+    """One observed line, and the landmark that it was matched to or (``is_new``) that was created
+    from it.
+    """
 
     landmark: int
     is_new: bool
-    true_walls: tuple[int, ...]  # for each reading in the line, the index of the wall hit; -1 nothing, -2 a robot
+    true_walls: tuple[
+        int, ...
+    ]  # for each reading in the line, the index of the wall hit; -1 nothing, -2 a robot
 
 
-def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> dict[str, float | None]:
-    """How often observed lines got the right landmark, judged by the walls (``wall_count`` of them) truly hit.
+def association_metrics(
+    events: Sequence[AssociationEvent], wall_count: int
+) -> dict[str, float | None]:
+    """How often observed lines got the right landmark, judged by the walls (``wall_count`` of them)
+    truly hit.
 
-    An observation's true wall is the one that more than half of its readings hit, a landmark's that of the
-    observation that created it. Where either has none there is no right answer: such events are mixed.
+    An observation's true wall is the one that more than half of its readings hit, a landmark's that
+    of the observation that created it. Where either has none there is no right answer: such events
+    are mixed.
 
-    Counts (int) of ``association_right``, ``association_wrong`` (matched to another wall's landmark),
-    ``association_new`` (rightly), ``association_wrongly_new`` (the wall had a landmark), ``association_mixed``;
-    ``association_right_share`` is the share of right and rightly new among all not mixed, None if there are none.
+    Counts (int) of ``association_right``, ``association_wrong`` (matched to another wall's
+    landmark), ``association_new`` (rightly), ``association_wrongly_new`` (the wall had a landmark),
+    ``association_mixed``; ``association_right_share`` is the share of right and rightly new among
+    all not mixed, None if there are none.
     """
     counts = dict.fromkeys(("right", "wrong", "wrongly_new", "new", "mixed"), 0)
     wall_of: dict[int, int | None] = {}
@@ -241,7 +289,10 @@ def association_metrics(events: Sequence[AssociationEvent], wall_count: int) -> 
         wall_of[event.landmark] = known
     judged = len(events) - counts["mixed"]
     share = (counts["right"] + counts["new"]) / judged if judged else None
-    return {**{f"association_{name}": count for name, count in counts.items()}, "association_right_share": share}
+    return {
+        **{f"association_{name}": count for name, count in counts.items()},
+        "association_right_share": share,
+    }
 
 
 def closure_metrics(
@@ -249,10 +300,12 @@ def closure_metrics(
 ) -> dict[str, int]:
     """How many of the merged pairs of landmarks truly belong to one wall.
 
-    Counts of ``closures_right``, ``closures_wrong`` and ``closures_mixed``: a landmark's true wall is that of the
-    observation that created it, and where either has none there is no right answer.
+    Counts of ``closures_right``, ``closures_wrong`` and ``closures_mixed``: a landmark's true wall
+    is that of the observation that created it, and where either has none there is no right answer.
     """
-    wall_of = {event.landmark: _majority(event.true_walls, wall_count) for event in events if event.is_new}
+    wall_of = {
+        event.landmark: _majority(event.true_walls, wall_count) for event in events if event.is_new
+    }
     counts = dict.fromkeys(("right", "wrong", "mixed"), 0)
     for older, younger in closures:
         first, second = wall_of.get(older), wall_of.get(younger)
@@ -264,19 +317,24 @@ def closure_metrics(
 def dropped_beam_metrics(dropped: BoolArray, wall_seen: IntArray) -> dict[str, float | None]:
     """How beams that hit another robot were classified, and how many other beams were rejected.
 
-    ``robot_beams_dropped`` is the share of the beams on robots that were left out, ``robot_beams_dropped_wrongly`` the
-    share of what was left out that had hit no robot, both None where there is nothing to share. ``dropped`` and
-    ``wall_seen`` have one shape; -2 in the latter is a robot.
+    ``robot_beams_dropped`` is the share of the beams on robots that were left out,
+    ``robot_beams_dropped_wrongly`` the share of what was left out that had hit no robot, both None
+    where there is nothing to share. ``dropped`` and ``wall_seen`` have one shape; -2 in the latter
+    is a robot.
     """
     on_robot = wall_seen == _ROBOT
     hits, left_out = int(np.count_nonzero(on_robot)), int(np.count_nonzero(dropped))
     return {
         "robot_beams_dropped": float(np.count_nonzero(dropped & on_robot)) / hits if hits else None,
-        "robot_beams_dropped_wrongly": float(np.count_nonzero(dropped & ~on_robot)) / left_out if left_out else None,
+        "robot_beams_dropped_wrongly": float(np.count_nonzero(dropped & ~on_robot)) / left_out
+        if left_out
+        else None,
     }
 
 
-def _wall_scores(visible: WallSamples, edges: FloatArray, estimated: FloatArray, tolerance: float) -> list[float]:
+def _wall_scores(
+    visible: WallSamples, edges: FloatArray, estimated: FloatArray, tolerance: float
+) -> list[float]:
     """Recall, precision and F1 at a matching distance (m)."""
     found = _matches(visible, estimated, tolerance) > 0
     right = _matches(_samples(estimated, SAMPLE_SPACING), edges, tolerance) > 0
@@ -284,20 +342,29 @@ def _wall_scores(visible: WallSamples, edges: FloatArray, estimated: FloatArray,
     return [recall, precision, 2.0 * recall * precision / max(recall + precision, 1e-300)]
 
 
-def _surplus(visible: WallSamples, all_edges: FloatArray, estimated: FloatArray) -> dict[str, float]:
+def _surplus(
+    visible: WallSamples, all_edges: FloatArray, estimated: FloatArray
+) -> dict[str, float]:
     """The spurious and the duplicate parts of aligned segments (m, 4)."""
     drawn = _samples(estimated, SAMPLE_SPACING)
-    hits = np.bincount(drawn[2], weights=_matches(drawn, all_edges, NEAR) > 0, minlength=len(estimated))
+    hits = np.bincount(
+        drawn[2], weights=_matches(drawn, all_edges, NEAR) > 0, minlength=len(estimated)
+    )
     spurious = hits < 0.5 * np.bincount(drawn[2], minlength=len(estimated))
     return {
         "spurious_walls": int(np.count_nonzero(spurious)),
         "spurious_m": float(lengths(estimated)[spurious].sum()),
-        "duplicate_m": SAMPLE_SPACING * int(np.count_nonzero(_matches(visible, estimated, NEAR) >= 2)),
+        "duplicate_m": SAMPLE_SPACING
+        * int(np.count_nonzero(_matches(visible, estimated, NEAR) >= 2)),
     }
 
 
-def _matches(samples: WallSamples, segments: FloatArray, tolerance: float, angle: float = WALL_ANGLE) -> IntArray:
-    """How many segments (k, 4) lie within ``tolerance`` (m) and less than ``angle`` (rad) of each of n samples."""
+def _matches(
+    samples: WallSamples, segments: FloatArray, tolerance: float, angle: float = WALL_ANGLE
+) -> IntArray:
+    """How many segments (k, 4) lie within ``tolerance`` (m) and less than ``angle`` (rad) of each
+    of n samples.
+    """
     points, directions, _ = samples
     counts = np.zeros(len(points), dtype=np.intp)
     step = max(1, _PAIRS_AT_ONCE // max(1, len(segments)))
@@ -305,12 +372,16 @@ def _matches(samples: WallSamples, segments: FloatArray, tolerance: float, angle
         rows = slice(first, first + step)
         turn = np.abs(directions[rows, None] - _directions(segments))
         parallel = np.minimum(turn, math.pi - turn) < angle
-        counts[rows] = np.count_nonzero(parallel & (distances(points[rows], segments) <= tolerance), axis=1)
+        counts[rows] = np.count_nonzero(
+            parallel & (distances(points[rows], segments) <= tolerance), axis=1
+        )
     return counts
 
 
 def _samples(segments: FloatArray, spacing: float) -> WallSamples:
-    """Middles of equal pieces of segments (k, 4), at most ``spacing`` (m) long, so that no sample is a corner."""
+    """Middles of equal pieces of segments (k, 4), at most ``spacing`` (m) long, so that no sample
+    is a corner.
+    """
     ends, owner = sample(segments, spacing)
     inner = owner[:-1] == owner[1:]
     owner = owner[:-1][inner]
@@ -333,7 +404,9 @@ def _stands(world: World, radius: float) -> FloatArray:
 
 
 def _in_sight(point: FloatArray, stands: FloatArray, edges: FloatArray) -> bool:
-    """Whether a straight line from any of the places (n, 2) reaches a point (2,) without crossing an edge (k, 4)."""
+    """Whether a straight line from any of the places (n, 2) reaches a point (2,) without crossing
+    an edge (k, 4).
+    """
     sight = point - stands[:, None]
     span, offset = edges[:, 2:] - edges[:, :2], edges[:, :2] - stands[:, None]
     cross = sight[..., 0] * span[:, 1] - sight[..., 1] * span[:, 0]
@@ -341,7 +414,8 @@ def _in_sight(point: FloatArray, stands: FloatArray, edges: FloatArray) -> bool:
     with np.errstate(divide="ignore", invalid="ignore"):
         reached = (offset[..., 0] * span[:, 1] - offset[..., 1] * span[:, 0]) / cross
         part = (offset[..., 0] * sight[..., 1] - offset[..., 1] * sight[..., 0]) / cross
-    # The tolerance closes the joint of two edges. An edge through the point itself does not hide the point.
+    # The tolerance closes the joint of two edges. An edge through the point itself does not hide
+    # the point.
     blocked = (part > -1e-9) & (part < 1.0 + 1e-9) & (reached > 0.0) & (reached < 1.0 - 1e-6)
     return bool((~blocked.any(axis=1)).any())
 
@@ -352,7 +426,9 @@ def _steps(poses: FloatArray) -> FloatArray:
 
 
 def _stretches(poses: FloatArray, length: float) -> tuple[IntArray, IntArray]:
-    """First and last steps (k,) of stretches of at least ``length`` (m), each beginning where the last ended."""
+    """First and last steps (k,) of stretches of at least ``length`` (m), each beginning where the
+    last ended.
+    """
     marks, driven = [0], 0.0
     for step, travel in enumerate(_steps(poses), start=1):
         driven += float(travel)

@@ -1,4 +1,6 @@
-"""What all tests share: one thread for each process, the marker ``quick``, and the order of the files."""
+"""What all tests share: one thread for each process, the marker ``quick``, and the order of the
+files.
+"""
 
 import os
 from pathlib import Path
@@ -20,9 +22,11 @@ NOT_QUICK = [
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark as ``quick`` the first case of each test that is not listed as taking long; put the longest files first.
+    """Mark as ``quick`` the first case of each test that is not listed as taking long; put the
+    longest files first.
 
-    Workers get whole files in this order, so that no worker begins a long file while the others have nothing left.
+    Workers get whole files in this order, so that no worker begins a long file while the others
+    have nothing left.
     """
     order = {name: number for number, name in reversed([*enumerate(NOT_QUICK)])}
     seen = set()

@@ -22,7 +22,8 @@ def agent(*names: str) -> set[str]:
     return {f"limslam_agent.{name}" for name in names}
 
 
-# For each package, and each module beside the packages: which others it may import. A package may always import itself.
+# For each package, and each module beside the packages: which others it may import. A package may
+# always import itself.
 ENV = {
     "limslam_env": env("config", "interface"),
     "limslam_env.geometry": set(),
@@ -32,7 +33,10 @@ ENV = {
     "limslam_env.robots": {INTERFACE},
     "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
     # A world may be named by the seed of a floor plan.
-    "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation", "messages")},
+    "limslam_env.worlds.formats": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("worlds", "worlds.generation", "messages"),
+    },
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
     "limslam_env.linking": set(),
     "limslam_env.compilation": env("linking", "messages"),
@@ -40,16 +44,33 @@ ENV = {
     "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
     "limslam_env.batch": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *env("compilation", "config", "worlds", "worlds.formats", "worlds.generation", "kernels", "simulation"),
+        *env(
+            "compilation",
+            "config",
+            "worlds",
+            "worlds.formats",
+            "worlds.generation",
+            "kernels",
+            "simulation",
+        ),
     },
     "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
     "limslam_env.envs": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *env("config", "robots", "worlds", "worlds.formats", "worlds.generation", "simulation", "batch", "rendering"),
+        *env(
+            "config",
+            "robots",
+            "worlds",
+            "worlds.formats",
+            "worlds.generation",
+            "simulation",
+            "batch",
+            "rendering",
+        ),
     },
     "limslam_env.metrics": {GEOMETRY, *env("worlds")},
     "limslam_env.bounds": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
-}  # fmt: skip
+}
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
     "limslam_agent.readings": {GEOMETRY},
@@ -59,31 +80,48 @@ AGENT = {
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
     "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
-    "limslam_agent.slam.consistent": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "slam.core")},
+    "limslam_agent.slam.consistent": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "kernels", "slam.core"),
+    },
     "limslam_agent.slam.batch": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("compilation"),
         *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
     "limslam_agent.slam.least_squares": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.line_graph": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("compilation"),
         *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
     },
     "limslam_agent.slam.graph": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "kernels", "slam.least_squares"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("compilation"),
+        *agent("config", "kernels", "slam.least_squares"),
     },
-    "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph", "slam.least_squares")},
+    "limslam_agent.slam.online_graph": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam.graph", "slam.least_squares"),
+    },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
-    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("dropouts", "config", "grid", "kernels", "slam.core")},
+    "limslam_agent.status": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("dropouts", "config", "grid", "kernels", "slam.core"),
+    },
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("belief", "config", "slam", "slam.core", "grid", "kernels", "status", "safe_files"),
     },
-    "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "kernels")},
+    "limslam_agent.policies": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("belief", "config", "grid", "kernels"),
+    },
     "limslam_agent.policies.learned": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("compilation"),
         *agent("belief", "config", "grid", "kernels", "policies", "safe_files"),
     },
     "limslam_agent.mapping": {
@@ -92,34 +130,71 @@ AGENT = {
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("belief", "config", "grid", "mapping", "slam.batch"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("compilation"),
+        *agent("belief", "config", "grid", "mapping", "slam.batch"),
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.measurements": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
-    "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "places", "safe_files")},
+    "limslam_agent.output.formats": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("grid", "output", "places", "safe_files"),
+    },
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapping", "output", "places"),
+        *agent(
+            "config",
+            "slam.core",
+            "slam.graph",
+            "slam.line_graph",
+            "grid",
+            "logs",
+            "mapping",
+            "output",
+            "places",
+        ),
         *agent("slam.online_graph", "status"),
     },
     "limslam_agent.two_logs": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "kernels", "logs", "output", "places"),
+        *agent(
+            "config",
+            "slam.core",
+            "slam.graph",
+            "slam.line_graph",
+            "grid",
+            "kernels",
+            "logs",
+            "output",
+            "places",
+        ),
         *agent("replay", "status"),
     },
     "limslam_agent.live": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "logs", "mapping", "output", "policies", "replay"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "logs", "mapping", "output", "policies", "replay"),
     },
     "limslam_agent.live.ros2": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "slam.core")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "mapping", "output", "policies", "slam", "slam.core", "status", "video"),
+        *agent(
+            "config",
+            "grid",
+            "mapping",
+            "output",
+            "policies",
+            "slam",
+            "slam.core",
+            "status",
+            "video",
+        ),
     },
-}  # fmt: skip
+}
 # These put the simulator and the agent together. No other package of the agent may import them.
 COMPOSITION = {
     "limslam_agent",
@@ -129,8 +204,8 @@ COMPOSITION = {
     "limslam_agent.cli",
     "limslam_agent.live.emulator",
 }
-# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis, training,
-# scoreboard; speed beside.
+# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis,
+# training, scoreboard; speed beside.
 BENCHMARKS = {
     "benchmarks": set(),
     "benchmarks.suite": set(),
@@ -155,14 +230,26 @@ COMPILED = {
     "limslam_agent.slam.least_squares",
     "limslam_agent.slam.line_graph",
 }
-SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}
+SEEDED = {
+    "default_rng",
+    "Generator",
+    "SeedSequence",
+    "BitGenerator",
+    "PCG64",
+    "PCG64DXSM",
+    "Philox",
+    "SFC64",
+}
 LONGEST_FILE = 520
 
 
 def modules_of(top: str) -> dict[str, Path]:
-    """The files of a package by their dotted names: of a checkout, or of a wheel, which has no benchmarks."""
+    """The files of a package by their dotted names: of a checkout, or of a wheel, which has no
+    benchmarks.
+    """
     spec = find_spec(top)
-    # Without benchmarks/ in the path, the folder tests/benchmarks answers to that name; it has no __init__.py.
+    # Without benchmarks/ in the path, the folder tests/benchmarks answers to that name; it has no
+    # __init__.py.
     if top == "benchmarks" and (spec is None or spec.origin is None):
         return {}
     folder = Path(next(iter(spec.submodule_search_locations)))
@@ -191,13 +278,17 @@ def imports(path: Path) -> frozenset[str]:
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         if isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path.name}:{node.lineno} imports relatively, which this test does not follow"
+            assert node.level == 0, (
+                f"{path.name}:{node.lineno} imports relatively, which this test does not follow"
+            )
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
     return frozenset(found)
 
 
 def place_of(name: str) -> str:
-    """The package that a module or a name in it belongs to; of modules beside the packages, the module itself."""
+    """The package that a module or a name in it belongs to; of modules beside the packages, the
+    module itself.
+    """
     asked = name
     while name not in MODULES:
         name, dot, _ = name.rpartition(".")
@@ -214,7 +305,9 @@ def places_imported(names: list[str]) -> set[str]:
 
 
 TOPS = {"limslam_env", "limslam_agent", "benchmarks"}
-PLACES = {place: [name for name in MODULES if place_of(name) == place] for place in map(place_of, MODULES)}
+PLACES = {
+    place: [name for name in MODULES if place_of(name) == place] for place in map(place_of, MODULES)
+}
 
 
 def test_every_package_has_a_rule():
@@ -231,7 +324,9 @@ def test_a_package_imports_only_what_its_rule_names(place):
 
 def test_what_is_installed_imports_no_benchmark():
     found = {
-        name for name, path in INSTALLED.items() if any(full.split(".")[0] == "benchmarks" for full in imports(path))
+        name
+        for name, path in INSTALLED.items()
+        if any(full.split(".")[0] == "benchmarks" for full in imports(path))
     }
     assert found == set()
 
@@ -253,7 +348,11 @@ def test_no_package_is_in_an_import_circle():
     ],
 )
 def test_these_modules_alone_import_it(library, owners):
-    found = {name for name, path in INSTALLED.items() if any(full.split(".")[0] == library for full in imports(path))}
+    found = {
+        name
+        for name, path in INSTALLED.items()
+        if any(full.split(".")[0] == library for full in imports(path))
+    }
     assert found == owners
 
 
@@ -268,23 +367,37 @@ def test_random_numbers_come_from_seeded_generators(place):
     for name in PLACES[place]:
         tree, imported = tree_of(MODULES[name]), imports(MODULES[name])
         assert not any(full == "random" or full.startswith("random.") for full in imported), name
-        assert {full.split(".")[2] for full in imported if full.startswith("numpy.random.")} <= SEEDED, name
+        assert {
+            full.split(".")[2] for full in imported if full.startswith("numpy.random.")
+        } <= SEEDED, name
         used = {dotted(node) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
-        assert {full.split(".")[2] for full in used if full.startswith(("np.random.", "numpy.random."))} <= SEEDED, name
+        assert {
+            full.split(".")[2] for full in used if full.startswith(("np.random.", "numpy.random."))
+        } <= SEEDED, name
         calls = [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
-        unseeded = [node.lineno for node in calls if dotted(node.func).endswith("default_rng") and not node.args]
+        unseeded = [
+            node.lineno
+            for node in calls
+            if dotted(node.func).endswith("default_rng") and not node.args
+        ]
         assert not unseeded, name
 
 
 @pytest.mark.parametrize("place", PLACES)
 def test_no_file_is_too_long(place):
-    lengths = {name: len(MODULES[name].read_text(encoding="utf-8").splitlines()) for name in PLACES[place]}
+    lengths = {
+        name: len(MODULES[name].read_text(encoding="utf-8").splitlines()) for name in PLACES[place]
+    }
     assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
 
 
 def loaded_by(names: list[str], suspects: set[str]) -> set[str]:
     """Which of the suspects a new interpreter has loaded after importing modules."""
-    lines = [*(f"import {name}" for name in names), "import sys", f"print(*({suspects!r} & set(sys.modules)))"]
+    lines = [
+        *(f"import {name}" for name in names),
+        "import sys",
+        f"print(*({suspects!r} & set(sys.modules)))",
+    ]
     command = [sys.executable, "-c", "\n".join(lines)]
     return set(subprocess.run(command, check=True, capture_output=True, text=True).stdout.split())
 
@@ -292,11 +405,16 @@ def loaded_by(names: list[str], suspects: set[str]) -> set[str]:
 def test_importing_the_env_loads_no_heavy_library():
     assert loaded_by(["limslam_env"], {"pymunk", "numba", "cv2", "pygame"}) == set()
     # What an agent draws is made of arrays.
-    assert loaded_by(["limslam_env.rendering.painter"], {"pymunk", "numba", "cv2", "pygame"}) == set()
+    assert (
+        loaded_by(["limslam_env.rendering.painter"], {"pymunk", "numba", "cv2", "pygame"}) == set()
+    )
 
 
 def test_an_environment_needs_no_library_that_takes_long_to_load():
-    assert loaded_by(["limslam_env.envs.env"], {"scipy.ndimage", "scipy.linalg", "matplotlib"}) == set()
+    assert (
+        loaded_by(["limslam_env.envs.env"], {"scipy.ndimage", "scipy.linalg", "matplotlib"})
+        == set()
+    )
 
 
 def test_importing_the_agent_loads_no_simulator():
@@ -315,7 +433,9 @@ def test_importing_the_agent_loads_no_simulator():
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
-    unwanted = {"pymunk", "numba", "pygame"} | env("worlds.world", "simulation.simulation", "envs.env")
+    unwanted = {"pymunk", "numba", "pygame"} | env(
+        "worlds.world", "simulation.simulation", "envs.env"
+    )
     assert loaded_by(parts, unwanted) == set()
 
 
@@ -346,7 +466,9 @@ def functions_of(top: str) -> dict[str, int]:
 
 
 def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines of a function's body. Signatures declare, like the options of a command, and are not counted."""
+    """Lines of a function's body. Signatures declare, like the options of a command, and are not
+    counted.
+    """
     body = function.body[1:] if ast.get_docstring(function) is not None else function.body
     return body[-1].end_lineno - body[0].lineno + 1 if body else 0
 
@@ -362,6 +484,7 @@ def test_no_function_is_longer_than_a_screen(top):
 
 def test_signature_and_docstring_do_not_count():
     tree = ast.parse(
-        'def function(\n    value,\n):\n    """One.\n\n    Two.\n    """\n    value += 1\n    return value\n'
+        'def function(\n    value,\n):\n    """One.\n\n    Two.\n    """\n    value += 1\n    '
+        "return value\n"
     )
     assert lines_of(tree.body[0]) == 2

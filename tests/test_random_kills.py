@@ -33,11 +33,19 @@ class Command:
 
     def start(self) -> subprocess.Popen[bytes]:
         """Start it as the leader of a group of processes."""
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]), "OPENBLAS_NUM_THREADS": "1"}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path]),
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         return subprocess.Popen(
-            [sys.executable, "-m", *self.arguments], cwd=self.cwd, env=environment, start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        )  # fmt: skip
+            [sys.executable, "-m", *self.arguments],
+            cwd=self.cwd,
+            env=environment,
+            start_new_session=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
 
     def finish(self) -> None:
         """Let it end by itself."""
@@ -65,7 +73,9 @@ def hidden_files(folder: Path) -> list[str]:
 
 
 def assert_nothing_is_lost(target: Path, files: set[str]) -> None:
-    """After the clear-up of a next start, the old or the new results are there as a whole, and nothing else."""
+    """After the clear-up of a next start, the old or the new results are there as a whole, and
+    nothing else.
+    """
     clear_up(target.parent)
     assert {path.name for path in target.iterdir()} == files
     read_run(target)
@@ -88,7 +98,9 @@ def test_a_run_or_a_replay_that_is_killed_leaves_its_results_whole(tmp_path, kin
     chance = random.Random(0)  # noqa: S311 (moments, not secrets)
     for _ in range(KILLS):
         # Most kills come late: that is when the results take their place.
-        command.kill(command.seconds * chance.choice((chance.uniform(0.0, 1.0), chance.uniform(0.8, 1.05))))
+        command.kill(
+            command.seconds * chance.choice((chance.uniform(0.0, 1.0), chance.uniform(0.8, 1.05)))
+        )
         assert_nothing_is_lost(target, files)
     command.finish()
     assert_nothing_is_lost(target, files)

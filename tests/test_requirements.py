@@ -1,4 +1,6 @@
-"""The minimum versions in ``pyproject.toml`` agree with what the required packages require themselves."""
+"""The minimum versions in ``pyproject.toml`` agree with what the required packages require
+themselves.
+"""
 
 import tomllib
 from importlib.metadata import PackageNotFoundError, requires
@@ -24,7 +26,11 @@ OURS = {
 
 def minimum(requirement):
     """The lower bound of a requirement; None if it has none."""
-    bounds = [Version(each.version) for each in requirement.specifier if each.operator in {">=", "~=", "=="}]
+    bounds = [
+        Version(each.version)
+        for each in requirement.specifier
+        if each.operator in {">=", "~=", "=="}
+    ]
     return max(bounds, default=None)
 
 
@@ -47,16 +53,22 @@ def test_no_required_package_contradicts_a_minimum(name):
             continue
         # An extra may need a newer version of a package than the project without that extra.
         if needed is None or needed <= ours:
-            assert other.specifier.contains(ours), f"{name} requires {other}, which forbids the minimum {ours}"
+            assert other.specifier.contains(ours), (
+                f"{name} requires {other}, which forbids the minimum {ours}"
+            )
         else:
             assert name not in ALWAYS, f"{name} requires {other}, and pyproject.toml says {ours}"
             assert required in ALWAYS, f"{name} requires {other}, and pyproject.toml says {ours}"
 
 
 def test_every_runtime_requirement_has_a_minimum():
-    assert [name for name in map(Requirement, CONTENT["dependencies"]) if minimum(name) is None] == []
+    assert [
+        name for name in map(Requirement, CONTENT["dependencies"]) if minimum(name) is None
+    ] == []
 
 
 def test_locks_know_a_removed_file():
-    """Before 3.21, two processes could hold a lock on the same path, one of them on a removed file."""
+    """Before 3.21, two processes could hold a lock on the same path, one of them on a removed
+    file.
+    """
     assert minimum(OURS["filelock"]) >= Version("3.21")

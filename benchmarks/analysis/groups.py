@@ -1,4 +1,6 @@
-"""Groups of result rows: the rows of one setting form a group, and each seed is one run of the group."""
+"""Groups of result rows: the rows of one setting form a group, and each seed is one run of the
+group.
+"""
 
 import math
 import re
@@ -16,7 +18,9 @@ PUBLISHED = "paper"
 """The preset of the published method."""
 
 FRONTIER, TOUR = "frontier", "tour"
-"""Policies that the tables refer to by name, in addition to the policies named in :mod:`benchmarks.suite.jobs`."""
+"""Policies that the tables refer to by name, in addition to the policies named in
+:mod:`benchmarks.suite.jobs`.
+"""
 
 Value: TypeAlias = Callable[[Row], float | None]
 """The value of a row in a column; None if the row has no value."""
@@ -26,7 +30,8 @@ Value: TypeAlias = Callable[[Row], float | None]
 class Setting:
     """The setting that the runs of a group have in common, by the fields of a job.
 
-    All random floor plans form one world, ``random plans``. Sums have the world ``all``, and the noise None.
+    All random floor plans form one world, ``random plans``. Sums have the world ``all``, and the
+    noise None.
     """
 
     world: str
@@ -54,8 +59,16 @@ class Setting:
 
     @property
     def kind(self) -> str:
-        """``drive`` along a known path, ``faulty`` if a fault began in an exploration, or ``exploration``."""
-        return "drive" if self.policy in {LAPS_POLICY, TOUR} else "faulty" if self.policy in FAULTS else "exploration"
+        """``drive`` along a known path, ``faulty`` if a fault began in an exploration, or
+        ``exploration``.
+        """
+        return (
+            "drive"
+            if self.policy in {LAPS_POLICY, TOUR}
+            else "faulty"
+            if self.policy in FAULTS
+            else "exploration"
+        )
 
     @property
     def order(self) -> tuple[object, ...]:
@@ -63,7 +76,15 @@ class Setting:
         parts = [part for part in re.split(r"(\d+)", self.world) if part]
         name = tuple((not part.isdigit(), int(part) if part.isdigit() else part) for part in parts)
         method = (self.preset != PUBLISHED, self.preset, self.ablation or "")
-        return (self.world.startswith("random"), name, self.laps, self.robots, self.policy, method, self.noise)
+        return (
+            self.world.startswith("random"),
+            name,
+            self.laps,
+            self.robots,
+            self.policy,
+            method,
+            self.noise,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +100,16 @@ class Group:
         return sum(row.error is None for row in self.rows)
 
     def values(self, of: Value) -> FloatArray:
-        """The values (k,) of the runs. Runs without a value are left out, and the caller reports their number."""
+        """The values (k,) of the runs. Runs without a value are left out, and the caller reports
+        their number.
+        """
         found = (of(row) for row in self.rows)
         return np.array([value for value in found if value is not None], dtype=float)
 
     def by_job(self, of: Value) -> dict[Hashable, float | None]:
-        """The value of each run by world, noise and seed, for paired comparisons; None for a run without a value."""
+        """The value of each run by world, noise and seed, for paired comparisons; None for a run
+        without a value.
+        """
         return {(row.world, row.noise, row.laps, row.seed): of(row) for row in self.rows}
 
 
@@ -111,7 +136,9 @@ def groups(rows: Iterable[Row]) -> list[Group]:
     found: dict[Setting, list[Row]] = {}
     for row in rows:
         found.setdefault(setting_of(row), []).append(row)
-    return [Group(setting, found[setting]) for setting in sorted(found, key=lambda each: each.order)]
+    return [
+        Group(setting, found[setting]) for setting in sorted(found, key=lambda each: each.order)
+    ]
 
 
 def with_sums(parts: Sequence[Group]) -> list[Group]:
@@ -119,5 +146,10 @@ def with_sums(parts: Sequence[Group]) -> list[Group]:
     pooled: dict[Setting, list[Row]] = {}
     for part in parts:
         pooled.setdefault(part.setting.pooled, []).extend(part.rows)
-    several = {setting for setting in pooled if sum(part.setting.pooled == setting for part in parts) > 1}
-    return [*parts, *(Group(setting, rows) for setting, rows in pooled.items() if setting in several)]
+    several = {
+        setting for setting in pooled if sum(part.setting.pooled == setting for part in parts) > 1
+    }
+    return [
+        *parts,
+        *(Group(setting, rows) for setting, rows in pooled.items() if setting in several),
+    ]

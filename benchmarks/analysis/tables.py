@@ -1,7 +1,7 @@
 """The results of a suite as tables.
 
-No table depends on the name of a world. Groups are formed from the worlds, noises, robots, presets, policies and
-ablations in the rows, and a table without a group is left out.
+No table depends on the name of a world. Groups are formed from the worlds, noises, robots, presets,
+policies and ablations in the rows, and a table without a group is left out.
 """
 
 import re
@@ -11,14 +11,26 @@ from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.analysis.groups import FRONTIER, PUBLISHED, Group, Setting, Value, groups, metric, setting_of, with_sums
+from benchmarks.analysis.groups import (
+    FRONTIER,
+    PUBLISHED,
+    Group,
+    Setting,
+    Value,
+    groups,
+    metric,
+    setting_of,
+    with_sums,
+)
 from benchmarks.suite.jobs import KIDNAPPED
 from benchmarks.suite.store import Row
 from limslam_agent.measurements.statistics import MISSING, Estimate, Pairs, median, number, paired
 
 READING = (
-    "Medians over runs with 95 % bootstrap intervals; the interval is left out where it has no width or there are "
-    "fewer than 3 values; of fewer than 6 it is their range at most, which holds the median less often. "
+    "Medians over runs with 95 % bootstrap intervals; the interval is left out where it has no "
+    "width or there are "
+    "fewer than 3 values; of fewer than 6 it is their range at most, which holds the median less "
+    "often. "
     "n: runs that ended well (failed). A number in brackets behind a value: so many runs have one."
 )
 NOTICED_WITHIN, PLACED_WITHIN = 10.0, 30.0
@@ -54,12 +66,19 @@ class Sheet:
             if number < self.words or any(row[number] != MISSING for row in self.rows)
         ]
         rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
-        return Sheet(self.title, self.note, tuple(self.header[number] for number in kept), rows, self.words)
+        return Sheet(
+            self.title, self.note, tuple(self.header[number] for number in kept), rows, self.words
+        )
 
     def markdown(self) -> str:
         """The table in Markdown."""
         marks = ["---" if number < self.words else "---:" for number in range(len(self.header))]
-        lines = [f"### {_escaped(self.title)}", "", _line(map(_escaped, self.header)), f"|{'|'.join(marks)}|"]
+        lines = [
+            f"### {_escaped(self.title)}",
+            "",
+            _line(map(_escaped, self.header)),
+            f"|{'|'.join(marks)}|",
+        ]
         lines += [_line(map(_escaped, row)) for row in self.rows]
         return "\n".join([*lines, *(["", _escaped(self.note)] if self.note else [])])
 
@@ -76,26 +95,48 @@ def sheets(rows: Sequence[Row]) -> list[Sheet]:
     parts = groups(rows)
     explored = [part for part in parts if part.setting.kind == "exploration"]
     by_frontier = [part for part in explored if part.setting.policy == FRONTIER]
-    others = {(part.setting.world, part.setting.noise) for part in explored if part.setting.policy != FRONTIER}
+    others = {
+        (part.setting.world, part.setting.noise)
+        for part in explored
+        if part.setting.policy != FRONTIER
+    }
     smoothed = [part for part in by_frontier if len(part.values(metric("ate_smoothed_m")))]
     found = [
         _sheet("Exploration", READING, with_sums(by_frontier), _GRID),
         _sheet("Outcomes of explorations", _ENDS, with_sums(smoothed), _OUTCOMES),
         _pairs_sheet("Several robots against one", "one robot", by_frontier, _alone),
-        _sheet("Driven paths", READING, [part for part in parts if part.setting.kind == "drive"], _DRIVE),
-        _pairs_sheet("Other methods against the published one", "the published method", parts, _published),
         _sheet(
-            "Policies", READING,
-            [part for part in explored if (part.setting.world, part.setting.noise) in others], _POLICIES,
+            "Driven paths",
+            READING,
+            [part for part in parts if part.setting.kind == "drive"],
+            _DRIVE,
         ),
-        _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.kind == "faulty"]), _FAULTS),
+        _pairs_sheet(
+            "Other methods against the published one", "the published method", parts, _published
+        ),
+        _sheet(
+            "Policies",
+            READING,
+            [part for part in explored if (part.setting.world, part.setting.noise) in others],
+            _POLICIES,
+        ),
+        _sheet(
+            "Faults",
+            _FAULTY,
+            with_sums([part for part in parts if part.setting.kind == "faulty"]),
+            _FAULTS,
+        ),
         _failures(rows),
-    ]  # fmt: skip
+    ]
     return [sheet for sheet in found if sheet is not None]
 
 
-def _sheet(title: str, note: str, parts: Sequence[Group], columns: Sequence[Column]) -> Sheet | None:
-    """A table with a row for each group; None without groups. Words that all groups share are left out."""
+def _sheet(
+    title: str, note: str, parts: Sequence[Group], columns: Sequence[Column]
+) -> Sheet | None:
+    """A table with a row for each group; None without groups. Words that all groups share are left
+    out.
+    """
     if not parts:
         return None
     facts: dict[str, Callable[[Setting], str]] = {
@@ -107,13 +148,19 @@ def _sheet(title: str, note: str, parts: Sequence[Group], columns: Sequence[Colu
         "method": lambda setting: setting.method,
     }
     words = {name: [fact(part.setting) for part in parts] for name, fact in facts.items()}
-    words = {name: cells for name, cells in words.items() if name in {"world", "noise"} or len(set(cells)) > 1}
+    words = {
+        name: cells
+        for name, cells in words.items()
+        if name in {"world", "noise"} or len(set(cells)) > 1
+    }
     all_columns = [("n", _ended), *columns]
     rows = tuple(
         (*about, *(text(part) for _, text in all_columns))
         for about, part in zip(zip(*words.values(), strict=True), parts, strict=True)
     )
-    return Sheet(title, note, (*words, *(name for name, _ in all_columns)), rows, len(words)).without_empty()
+    return Sheet(
+        title, note, (*words, *(name for name, _ in all_columns)), rows, len(words)
+    ).without_empty()
 
 
 def _ended(part: Group) -> str:
@@ -144,13 +191,20 @@ def _of(heading: str, statistic: Callable[..., float], name: str, decimals: int)
     return heading, text
 
 
-def _count(heading: str, name: str, holds: Callable[[float], bool] = lambda value: value > 0.0) -> Column:
+def _count(
+    heading: str, name: str, holds: Callable[[float], bool] = lambda value: value > 0.0
+) -> Column:
     """A column of how many of the runs have a metric for which this holds."""
-    return heading, lambda part: f"{sum(map(holds, part.values(metric(name)).tolist()))} of {part.ended}"
+    return (
+        heading,
+        lambda part: f"{sum(map(holds, part.values(metric(name)).tolist()))} of {part.ended}",
+    )
 
 
 def _ended_ok(part: Group, above: float = -np.inf) -> str:
-    """How many of the runs have the status ok at their end, and an error of the smoothed path above a limit (m)."""
+    """How many of the runs have the status ok at their end, and an error of the smoothed path above
+    a limit (m).
+    """
     ok = [row for row in part.rows if row.metrics.get("status") == "ok"]
     return f"{sum((metric('ate_smoothed_m')(row) or 0.0) > above for row in ok)} of {part.ended}"
 
@@ -167,55 +221,92 @@ def _over_odometry(row: Row) -> float | None:
 
 
 _SCORES = (
-    _median("F1 aligned", "wall_f1_aligned"), _median("F1", "wall_f1"), _median("F1 5 cm", "wall_f1_5cm"),
-    _median("spurious walls", "spurious_walls", 1), _median("doors open", "doors_open"),
-)  # fmt: skip
-_POSE = (_median("ATE m", "ate_m", 3), _median("ATE / limit", "ate_over_limit", 1), _median("ANEES", "anees", 1))
-_GRID = (*_SCORES, *_POSE, _median("time s", "exploration_time_s", 0), _median("covered", "coverage_true", 3))
+    _median("F1 aligned", "wall_f1_aligned"),
+    _median("F1", "wall_f1"),
+    _median("F1 5 cm", "wall_f1_5cm"),
+    _median("spurious walls", "spurious_walls", 1),
+    _median("doors open", "doors_open"),
+)
+_POSE = (
+    _median("ATE m", "ate_m", 3),
+    _median("ATE / limit", "ate_over_limit", 1),
+    _median("ANEES", "anees", 1),
+)
+_GRID = (
+    *_SCORES,
+    *_POSE,
+    _median("time s", "exploration_time_s", 0),
+    _median("covered", "coverage_true", 3),
+)
 _DRIVE = (
-    *_POSE, _median("odometry ATE m", "odometry_ate_m", 3), _median("ATE / odometry", _over_odometry),
-    _median("limit ATE m", "limit_ate_m", 3), _median("heading deg", "heading_rmse_deg"),
-    _median("odometry deg", "odometry_heading_rmse_deg"), _median("final error m", "final_error_m", 3),
-    _median("NEES in 95 %", "nees_in_95"), *_SCORES,
-)  # fmt: skip
+    *_POSE,
+    _median("odometry ATE m", "odometry_ate_m", 3),
+    _median("ATE / odometry", _over_odometry),
+    _median("limit ATE m", "limit_ate_m", 3),
+    _median("heading deg", "heading_rmse_deg"),
+    _median("odometry deg", "odometry_heading_rmse_deg"),
+    _median("final error m", "final_error_m", 3),
+    _median("NEES in 95 %", "nees_in_95"),
+    *_SCORES,
+)
 _POLICIES = (
     *(_median(f"{share} % s", f"time_to_{share}_s", 0) for share in (50, 90, 95)),
-    _median("time s", "exploration_time_s", 0), _median("path m", "path_m", 1),
-    _median("covered", "coverage_true", 3), _median("claimed and correct", "coverage_correct", 3),
+    _median("time s", "exploration_time_s", 0),
+    _median("path m", "path_m", 1),
+    _median("covered", "coverage_true", 3),
+    _median("claimed and correct", "coverage_correct", 3),
     _median("collisions", "collisions", 1),
-)  # fmt: skip
+)
 _OUTCOMES = (
-    _count("ended by itself", "exploration_time_s", lambda _: True), ("ok at the end", _ended_ok),
-    _count("unsure at some time", "unsure_s"), _count("lost at some time", "lost_s"),
-    _count("touched a wall", "collisions"), _median("odometry ATE m", "odometry_ate_m"), _median("ATE m", "ate_m", 3),
-    _of("worst ATE m", np.max, "ate_m", 3), _median("smoothed ATE m", "ate_smoothed_m", 3),
-    _of("worst smoothed ATE m", np.max, "ate_smoothed_m", 3), _of("mean ANEES", np.mean, "anees", 1),
-    _of("mean smoothed ANEES", np.mean, "anees_smoothed", 1), _median("F1 aligned 5 cm", "wall_f1_aligned_5cm"),
-    _of("worst F1 aligned 5 cm", np.min, "wall_f1_aligned_5cm", 2), _median("recall", "wall_recall", 3),
-)  # fmt: skip
+    _count("ended by itself", "exploration_time_s", lambda _: True),
+    ("ok at the end", _ended_ok),
+    _count("unsure at some time", "unsure_s"),
+    _count("lost at some time", "lost_s"),
+    _count("touched a wall", "collisions"),
+    _median("odometry ATE m", "odometry_ate_m"),
+    _median("ATE m", "ate_m", 3),
+    _of("worst ATE m", np.max, "ate_m", 3),
+    _median("smoothed ATE m", "ate_smoothed_m", 3),
+    _of("worst smoothed ATE m", np.max, "ate_smoothed_m", 3),
+    _of("mean ANEES", np.mean, "anees", 1),
+    _of("mean smoothed ANEES", np.mean, "anees_smoothed", 1),
+    _median("F1 aligned 5 cm", "wall_f1_aligned_5cm"),
+    _of("worst F1 aligned 5 cm", np.min, "wall_f1_aligned_5cm", 2),
+    _median("recall", "wall_recall", 3),
+)
 _FAULTS = (
     _count("not ok within 10 s", "fault_doubted_s", lambda value: value <= NOTICED_WITHIN),
     _count("lost within 10 s", "fault_lost_s", lambda value: value <= NOTICED_WITHIN),
-    _median("not ok after s", "fault_doubted_s", 1), _of("ok though wrong, at most s", np.max, "fault_unnoticed_s", 1),
-    ("placed within 30 s", _placed), _median("placed after s", "fault_placed_s", 1),
-    _count("at a wrong place", "fault_wrong_place_s"), _count("of these ok", "fault_wrong_place_ok_s"),
-    _count("not ok before", "fault_alarms_before_s"), _median("smoothed ATE m", "ate_smoothed_m", 3),
+    _median("not ok after s", "fault_doubted_s", 1),
+    _of("ok though wrong, at most s", np.max, "fault_unnoticed_s", 1),
+    ("placed within 30 s", _placed),
+    _median("placed after s", "fault_placed_s", 1),
+    _count("at a wrong place", "fault_wrong_place_s"),
+    _count("of these ok", "fault_wrong_place_ok_s"),
+    _count("not ok before", "fault_alarms_before_s"),
+    _median("smoothed ATE m", "ate_smoothed_m", 3),
     ("ok at the end, smoothed ATE above 0.5 m", lambda part: _ended_ok(part, TOLERATED_ATE)),
-)  # fmt: skip
+)
 _ENDS = (
-    "Medians over runs with 95 % bootstrap intervals, the worst runs, means, and numbers of runs. The walls are those "
+    "Medians over runs with 95 % bootstrap intervals, the worst runs, means, and numbers of runs. "
+    "The walls are those "
     "of the final map, which is the smoothed one where there is one."
 )
 _FAULTY = (
-    "Numbers of runs, and medians with 95 % bootstrap intervals over those that were noticed or placed. A right pose "
-    "is at most 0.5 m and 15 degrees off. At a wrong place: the robot was lost, and then not lost with a wrong pose."
+    "Numbers of runs, and medians with 95 % bootstrap intervals over those that were noticed or "
+    "placed. A right pose "
+    "is at most 0.5 m and 15 degrees off. At a wrong place: the robot was lost, and then not lost "
+    "with a wrong pose."
 )
 # Heading, metric, whether a ratio is shown and not a difference, and decimals.
 _MEASURES = (
-    (f"time, {TIMES}", "exploration_time_s", True, 2), (f"ATE, {TIMES}", "ate_m", True, 2),
-    ("F1 aligned, +", "wall_f1_aligned", False, 2), ("spurious walls, +", "spurious_walls", False, 1),
-    ("doors open, +", "doors_open", False, 2), ("associations right, +", "association_right_share", False, 3),
-)  # fmt: skip
+    (f"time, {TIMES}", "exploration_time_s", True, 2),
+    (f"ATE, {TIMES}", "ate_m", True, 2),
+    ("F1 aligned, +", "wall_f1_aligned", False, 2),
+    ("spurious walls, +", "spurious_walls", False, 1),
+    ("doors open, +", "doors_open", False, 2),
+    ("associations right, +", "association_right_share", False, 3),
+)
 
 
 def _alone(setting: Setting) -> Setting | None:
@@ -232,7 +323,11 @@ def _pairs_sheet(
 ) -> Sheet | None:
     """Settings compared with others, run by run; None if there are none. The last rows are sums."""
     known = {part.setting: part for part in parts}
-    matched = [(known[one], part) for part in parts if (one := base(part.setting)) is not None and one in known]
+    matched = [
+        (known[one], part)
+        for part in parts
+        if (one := base(part.setting)) is not None and one in known
+    ]
     lines: dict[Setting, list[tuple[Group, Group]]] = {pair[1].setting: [pair] for pair in matched}
     for pair in matched if len(matched) > 1 else []:
         lines.setdefault(pair[1].setting.pooled, []).append(pair)
@@ -241,11 +336,15 @@ def _pairs_sheet(
         return None
     header = ("method", "world", "noise", "robots", "policy", "pairs", "left out", "unpaired")
     note = (
-        f"{TIMES}: over {other}; +: minus {other}. Medians over pairs of runs that share world, noise and seed, with "
-        "95 % bootstrap intervals. Left out: pairs of which a run failed; unpaired: runs without a partner. A number "
+        f"{TIMES}: over {other}; +: minus {other}. Medians over pairs of runs that share world, "
+        "noise and seed, with "
+        "95 % bootstrap intervals. Left out: pairs of which a run failed; unpaired: runs without "
+        "a partner. A number "
         "in brackets behind a value: so many pairs have one."
     )
-    return Sheet(title, note, (*header, *(name for name, *_ in _MEASURES)), tuple(rows), 5).without_empty()
+    return Sheet(
+        title, note, (*header, *(name for name, *_ in _MEASURES)), tuple(rows), 5
+    ).without_empty()
 
 
 def _pairs_row(setting: Setting, pairs: Sequence[tuple[Group, Group]]) -> tuple[str, ...]:
@@ -260,7 +359,9 @@ def _pairs_row(setting: Setting, pairs: Sequence[tuple[Group, Group]]) -> tuple[
     count = len(ended.first)
     cells = [
         _text(found.ratio if is_ratio else found.difference, decimals, count)
-        for found, is_ratio, decimals in ((values(metric(name)), ratio, each) for _, name, ratio, each in _MEASURES)
+        for found, is_ratio, decimals in (
+            (values(metric(name)), ratio, each) for _, name, ratio, each in _MEASURES
+        )
     ]
     world = f"{setting.world}, {setting.laps} laps" if setting.laps else setting.world
     words = (setting.method, world, setting.noise_text, str(setting.robots), setting.policy)
@@ -270,7 +371,15 @@ def _pairs_row(setting: Setting, pairs: Sequence[tuple[Group, Group]]) -> tuple[
 def _failures(rows: Sequence[Row]) -> Sheet | None:
     """All failed runs with the reasons; None if no run failed."""
     failed = [
-        (row.world, setting.noise_text, str(row.robots), setting.method, row.policy, str(row.seed), row.error)
+        (
+            row.world,
+            setting.noise_text,
+            str(row.robots),
+            setting.method,
+            row.policy,
+            str(row.seed),
+            row.error,
+        )
         for row, setting in ((row, setting_of(row)) for row in rows)
         if row.error is not None
     ]

@@ -31,50 +31,89 @@ _MAX_BYTES = 10_000_000
 _DIGITS = 5
 
 _HEADER = (
-    "row", "n", "filter ATE m", "aligned", "smoothed ATE m", "aligned", "NEES/3 filter / smoothed", "F1 / faces 5 cm",
-    "wrong and ok s (at the end)", "false alarms s", "status", "CPU s drive / smoothing",
-)  # fmt: skip
+    "row",
+    "n",
+    "filter ATE m",
+    "aligned",
+    "smoothed ATE m",
+    "aligned",
+    "NEES/3 filter / smoothed",
+    "F1 / faces 5 cm",
+    "wrong and ok s (at the end)",
+    "false alarms s",
+    "status",
+    "CPU s drive / smoothing",
+)
 
 ESTIMATOR = (
-    "slam", "places", "status", "kernels",
-    "mapping/mapper.py", "mapping/frames.py", "mapping/frame_mapper.py", "mapping/renewal.py", "mapping/joining.py",
+    "slam",
+    "places",
+    "status",
+    "kernels",
+    "mapping/mapper.py",
+    "mapping/frames.py",
+    "mapping/frame_mapper.py",
+    "mapping/renewal.py",
+    "mapping/joining.py",
     "dropouts.py",
-    "replay/calibration.py", "replay/hand_over.py", "replay/plausibility.py", "replay/smoothing.py", "replay/trust.py",
-    "two_logs/by_graph.py", "two_logs/joining.py", "two_logs/joint.py", "two_logs/place.py",
-)  # fmt: skip
-"""The folders and files of the estimation side, in ``limslam_agent``. What does not exist is left out."""
+    "replay/calibration.py",
+    "replay/hand_over.py",
+    "replay/plausibility.py",
+    "replay/smoothing.py",
+    "replay/trust.py",
+    "two_logs/by_graph.py",
+    "two_logs/joining.py",
+    "two_logs/joint.py",
+    "two_logs/place.py",
+)
+"""The folders and files of the estimation side, in ``limslam_agent``. What does not exist is left
+out.
+"""
 
 Board = dict[str, Any]
 """``provenance``, ``size`` and ``cells``, as in the file."""
 
 
 def run_scoreboard(
-    rows: Rows, patterns: Sequence[str], folder: Path, processes: Processes, *, unused: bool = False,
-    jitter: float = 0.0, retry_failed: bool = False,
-) -> tuple[Board, Summary, list[str]]:  # fmt: skip
+    rows: Rows,
+    patterns: Sequence[str],
+    folder: Path,
+    processes: Processes,
+    *,
+    unused: bool = False,
+    jitter: float = 0.0,
+    retry_failed: bool = False,
+) -> tuple[Board, Summary, list[str]]:
     """Measure the cells that have no result in a folder yet, and write ``scoreboard.json`` there.
 
-    Of the rows, those are measured whose names match one of the patterns, or all if there are none. ``unused`` takes
-    the seeds of figures that are published. ``jitter`` is the standard deviation of further noise of recorded ranges,
-    m.
+    Of the rows, those are measured whose names match one of the patterns, or all if there are none.
+    ``unused`` takes the seeds of figures that are published. ``jitter`` is the standard deviation
+    of further noise of recorded ranges, m.
 
     Returns
     -------
     board, summary, skipped
-        All figures in the folder, the summary of this execution, and the names of rows whose data are absent.
+        All figures in the folder, the summary of this execution, and the names of rows whose data
+        are absent.
 
     Raises
     ------
     ValueError
-        If a pattern matches nothing, or the folder holds results of another estimator or of other rows.
+        If a pattern matches nothing, or the folder holds results of another estimator or of other
+        rows.
     """
     chosen, has_data = rows.chosen(patterns), data_folder().is_dir()
     skipped = [row.name for row in chosen if row.needs_data and not has_data]
-    by_name, first = {row.name: row for row in rows.row}, rows.unused_seed if unused else rows.tuning_seed
+    by_name, first = (
+        {row.name: row for row in rows.row},
+        rows.unused_seed if unused else rows.tuning_seed,
+    )
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
     known = digest([[asdict(row) for row in rows.row], first, jitter, digest_of(estimator_files())])
     suite = Suite("scoreboard", "Cells of the scoreboard.", tuple(jobs), known)
-    summary = run_suite(suite, folder, processes, work=partial(measure, by_name, jitter), retry_failed=retry_failed)
+    summary = run_suite(
+        suite, folder, processes, work=partial(measure, by_name, jitter), retry_failed=retry_failed
+    )
     board = board_of(folder, by_name, first, jitter)
     replace_content(folder / FILE, written(board))
     return board, summary, skipped
@@ -93,16 +132,21 @@ def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int, jitter: flo
         }
         cells.append({**about, **error, **figures})
     provenance = {
-        "commit": commit(), "python": platform.python_version(), "processors": os.cpu_count(), "jitter_m": jitter,
+        "commit": commit(),
+        "python": platform.python_version(),
+        "processors": os.cpu_count(),
+        "jitter_m": jitter,
         "first_seed": first_seed,
-    }  # fmt: skip
+    }
     return {"provenance": provenance, "size": size_of(estimator_files()), "cells": cells}
 
 
 def written(board: Board) -> bytes:
     """The content of a file, with a line for each cell."""
     cells = ",\n".join(json.dumps(cell, allow_nan=False) for cell in board["cells"])
-    head = ",\n".join(f"{json.dumps(name)}: {json.dumps(board[name])}" for name in ("provenance", "size"))
+    head = ",\n".join(
+        f"{json.dumps(name)}: {json.dumps(board[name])}" for name in ("provenance", "size")
+    )
     return f'{{{head},\n"cells": [\n{cells}\n]}}\n'.encode()
 
 
@@ -111,7 +155,10 @@ def read_board(path: Path) -> Board:
     path = path / FILE if path.is_dir() else path
     try:
         board: Board = json.loads(read_limited(path, _MAX_BYTES))
-        cells = [{**cell, **{name: cell[name] for name in ("row", "world", "seed")}} for cell in board["cells"]]
+        cells = [
+            {**cell, **{name: cell[name] for name in ("row", "world", "seed")}}
+            for cell in board["cells"]
+        ]
         return {"provenance": board["provenance"], "size": board["size"], "cells": cells}
     except OSError as error:
         raise ValueError(f"{path}: no scoreboard there: {error.strerror or error}") from error
@@ -120,21 +167,34 @@ def read_board(path: Path) -> Board:
 
 
 def table(board: Board) -> list[str]:
-    """The lines of a scoreboard: the size of the estimator, and a line for each row, in Markdown."""
+    """The lines of a scoreboard: the size of the estimator, and a line for each row, in
+    Markdown.
+    """
     names = dict.fromkeys(str(cell["row"]) for cell in board["cells"])
     rows = [_line(name, [cell for cell in board["cells"] if cell["row"] == name]) for name in names]
     size = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in board["size"].items())
-    return [f"estimator: {size}", "", f"| {' | '.join(_HEADER)} |", f"|{'---|' * len(_HEADER)}", *rows]
+    return [
+        f"estimator: {size}",
+        "",
+        f"| {' | '.join(_HEADER)} |",
+        f"|{'---|' * len(_HEADER)}",
+        *rows,
+    ]
 
 
 def _line(name: str, all_cells: Sequence[Cell]) -> str:
     cells = [cell for cell in all_cells if "error" not in cell]
     statuses = [str(cell["status"]) for cell in cells]
-    counts = ", ".join(f"{statuses.count(each)} {each}" for each in ("ok", "unsure", "lost") if each in statuses)
+    counts = ", ".join(
+        f"{statuses.count(each)} {each}" for each in ("ok", "unsure", "lost") if each in statuses
+    )
     failed = len(all_cells) - len(cells)
     placed = [cell["placed"] for cell in cells if "placed" in cell]
     counts += f", {sum(placed)} of {len(placed)} placed" if placed else ""
-    paths = [_spread(cells, f"ate{kind}_m") for kind in ("", "_aligned", "_smoothed", "_smoothed_aligned")]
+    paths = [
+        _spread(cells, f"ate{kind}_m")
+        for kind in ("", "_aligned", "_smoothed", "_smoothed_aligned")
+    ]
     nees, walls, cpu = (
         " / ".join(_median(cells, each, digits) for each in names)
         for names, digits in (
@@ -145,9 +205,7 @@ def _line(name: str, all_cells: Sequence[Cell]) -> str:
     )
     wrong = f"{_total(cells, 'wrong_ok_s')} ({_total(cells, 'wrong_ok_end')})"
     count = f"{len(cells)} ({failed} failed)" if failed else str(len(cells))
-    figures = (
-        name, count, *paths, nees, walls, wrong, _total(cells, "false_alarm_s"), counts, cpu
-    )  # fmt: skip
+    figures = (name, count, *paths, nees, walls, wrong, _total(cells, "false_alarm_s"), counts, cpu)
     return f"| {' | '.join(figures)} |"
 
 
@@ -174,15 +232,26 @@ def _total(cells: Sequence[Cell], name: str) -> str:
 def estimator_files() -> list[Path]:
     """The files of the estimator of the package that is imported."""
     found = (Path(limslam_agent.__file__).parent / name for name in ESTIMATOR)
-    return sorted(file for path in found for file in ([path] if path.suffix else path.rglob("*.py")) if file.is_file())
+    return sorted(
+        file
+        for path in found
+        for file in ([path] if path.suffix else path.rglob("*.py"))
+        if file.is_file()
+    )
 
 
 def size_of(files: list[Path]) -> dict[str, int]:
     """Lines, files, and assignments at module level whose value has a number in it."""
     texts = [file.read_text(encoding="utf-8") for file in files]
     nodes = [node for text in texts for node in ast.parse(text).body]
-    constants = sum(_has_number(node.value) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign))
-    return {"lines": sum(len(text.splitlines()) for text in texts), "files": len(files), "constants": constants}
+    constants = sum(
+        _has_number(node.value) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign)
+    )
+    return {
+        "lines": sum(len(text.splitlines()) for text in texts),
+        "files": len(files),
+        "constants": constants,
+    }
 
 
 def digest_of(files: list[Path]) -> str:
@@ -192,5 +261,6 @@ def digest_of(files: list[Path]) -> str:
 
 def _has_number(value: ast.expr | None) -> bool:
     return value is not None and any(
-        isinstance(node, ast.Constant) and type(node.value) in {int, float} for node in ast.walk(value)
+        isinstance(node, ast.Constant) and type(node.value) in {int, float}
+        for node in ast.walk(value)
     )

@@ -1,4 +1,6 @@
-"""Drives that depend on the seed and not on the estimator, as logs of wheel travel with the truth."""
+"""Drives that depend on the seed and not on the estimator, as logs of wheel travel with the
+truth.
+"""
 
 import math
 from collections.abc import Callable
@@ -46,38 +48,58 @@ def world_of(name: str) -> World:
 
 
 def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> RecordedLog:
-    """The drive of a row, with the readings that its robot reports. It is the same for the same arguments.
+    """The drive of a row, with the readings that its robot reports. It is the same for the same
+    arguments.
 
-    ``jitter`` is the standard deviation of further noise of the ranges, m, by which the noise of the scoreboard itself
-    is measured.
+    ``jitter`` is the standard deviation of further noise of the ranges, m, by which the noise of
+    the scoreboard itself is measured.
     """
     robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
     turns = np.zeros(len(robot.beams))
     if row.fault == "turned beam":
         turns[seed % len(robot.beams)] = math.radians(DRIVE_FAULTS[row.fault])
     true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
-    noise = row.true_noise if row.true_noise.sensor_noise else replace(row.true_noise, sensor_noise=row.noise)
-    env = LimSlamParallelEnv(world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None)
+    noise = (
+        row.true_noise
+        if row.true_noise.sensor_noise
+        else replace(row.true_noise, sensor_noise=row.noise)
+    )
+    env = LimSlamParallelEnv(
+        world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None
+    )
     observed, infos = env.reset(seed=seed)
     (name,) = observed
-    drive = _bumps(robot, generator) if row.bumps else _from_place_to_place(env, infos[name]["pose"], generator)
+    drive = (
+        _bumps(robot, generator)
+        if row.bumps
+        else _from_place_to_place(env, infos[name]["pose"], generator)
+    )
     rows = [(observed[name], infos[name])]
     for _ in range(round(row.seconds / robot.control_period)):
         action = drive(infos[name]["pose"], infos[name]["collision"])
         observed, _, _, _, infos = env.step({name: action})
         rows.append((observed[name], infos[name]))
-    ranges, wheels = (np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels"))
+    ranges, wheels = (
+        np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels")
+    )
     true = np.array([info["pose"] for _, info in rows])
     ranges = shaken(ranges, robot, jitter, seed)
     time = robot.control_period * np.arange(float(len(rows)))
     if row.fault:
         begin = time[round(_BEAM_BEGINS * len(rows))] if row.fault == "delayed" else 0.0
         slips = drawn_slips(len(rows), generator) if row.fault == "slips" else {}
-        ranges, wheels = with_fault(Fault(row.fault, begin, seed, robot, slips), ranges, wheels, time)
+        ranges, wheels = with_fault(
+            Fault(row.fault, begin, seed, robot, slips), ranges, wheels, time
+        )
     return RecordedLog(
-        robot=robot, time=time, ranges=ranges.astype(np.float32),
-        has_scan=np.ones(len(rows), dtype=np.bool_), start_pose=true[0], wheels=wheels, true_pose=true,
-    )  # fmt: skip
+        robot=robot,
+        time=time,
+        ranges=ranges.astype(np.float32),
+        has_scan=np.ones(len(rows), dtype=np.bool_),
+        start_pose=true[0],
+        wheels=wheels,
+        true_pose=true,
+    )
 
 
 def shaken(ranges: FloatArray, robot: RobotSpec, jitter: float, seed: int) -> FloatArray:
@@ -88,8 +110,12 @@ def shaken(ranges: FloatArray, robot: RobotSpec, jitter: float, seed: int) -> Fl
     return np.where((ranges > robot.too_near) & (ranges < robot.too_far), noisy, ranges)
 
 
-def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: np.random.Generator) -> Driver:
-    """Drive to a place far from all where the robot has been, or to one that it may have seen before, and so on."""
+def _from_place_to_place(
+    env: LimSlamParallelEnv, start: FloatArray, generator: np.random.Generator
+) -> Driver:
+    """Drive to a place far from all where the robot has been, or to one that it may have seen
+    before, and so on.
+    """
     roads, been = Roadmap(env.world, env.robot.radius, start[:2]), [start[:2]]
 
     def plan(pose: FloatArray) -> FloatArray:
@@ -113,9 +139,11 @@ def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: 
 def next_place(
     roads: Roadmap, been: list[FloatArray], generator: np.random.Generator, *, revisits: bool = True
 ) -> tuple[FloatArray, float]:
-    """A place (2,), m, to drive to, and how far the farthest of some places is from all where the robot has been, m.
+    """A place (2,), m, to drive to, and how far the farthest of some places is from all where the
+    robot has been, m.
 
-    Mostly it is that farthest one, and otherwise one that the robot may have seen before; without ``revisits`` never.
+    Mostly it is that farthest one, and otherwise one that the robot may have seen before; without
+    ``revisits`` never.
     """
     some = generator.choice(roads.places, _CANDIDATES)
     apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)

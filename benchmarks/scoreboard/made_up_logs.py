@@ -1,7 +1,9 @@
-"""Logs of drives that were made up, and how well they are smoothed when few of their readings are used.
+"""Logs of drives that were made up, and how well they are smoothed when few of their readings are
+used.
 
-A robot with a laser scanner of 180 degrees drives through a building that was not used for development. Its odometry
-has errors of several kinds, its ranges are older than its odometry, and people walk past.
+A robot with a laser scanner of 180 degrees drives through a building that was not used for
+development. Its odometry has errors of several kinds, its ranges are older than its odometry, and
+people walk past.
 """
 
 import math
@@ -40,18 +42,29 @@ _RECESSES = 0.4  # share of recesses among the details of walls; the others are 
 _LEAST_SIDE, _LARGEST_SIDE = 10.0, 60.0  # m; of real plans
 _LOOP_AFTER, _LOOP_WITHIN = 60.0, 1.5  # s and m between the ends of a relation that is a loop
 _RELATIONS = 300  # of each kind
-_LEAST_DRIVEN, _SEEN_WITHIN = 40.0, 4.0  # m: a drive with few revisits ends after this way, when all places were near
-_RANGE, _STD = 5.0, 0.02  # m; longest range that is used, and the standard deviation that the smoother is told
+_LEAST_DRIVEN, _SEEN_WITHIN = (
+    40.0,
+    4.0,
+)  # m: a drive with few revisits ends after this way, when all places were near
+_RANGE, _STD = (
+    5.0,
+    0.02,
+)  # m; longest range that is used, and the standard deviation that the smoother is told
 
-# Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are drawn; standard
-# deviations of the heading after one metre (deg) and after one radian (rad); and the number of slips.
+# Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are
+# drawn; standard deviations of the heading after one metre (deg) and after one radian (rad); and
+# the number of slips.
 ODOMETRY = {
     "good": (0.005, 0.005, 0.02, 0.3, 0.01, 0),
     "medium": (0.03, 0.05, 0.2, 1.0, 0.03, 1),
     "uneven": (0.01, 0.02, 2.2, 0.8, 0.02, 0),
     "bad": (0.04, 0.07, 1.0, 1.5, 0.05, 3),
 }
-_SLIP = 0.3, 0.05, math.radians(15.0)  # standard deviations of a slip: ahead and aside, m, and turned, rad
+_SLIP = (
+    0.3,
+    0.05,
+    math.radians(15.0),
+)  # standard deviations of a slip: ahead and aside, m, and turned, rad
 
 
 def walls_of(floor: BoolArray) -> FloatArray:
@@ -66,10 +79,14 @@ def walls_of(floor: BoolArray) -> FloatArray:
     return _CELL * np.array(walls)
 
 
-def _cut_world(name: str, rectangles: FloatArray, details: float, generator: np.random.Generator) -> World:
-    """A world whose floor is cut from solid ground: rectangles (k, 5) of x, y, width, height, m, and free or not.
+def _cut_world(
+    name: str, rectangles: FloatArray, details: float, generator: np.random.Generator
+) -> World:
+    """A world whose floor is cut from solid ground: rectangles (k, 5) of x, y, width, height, m,
+    and free or not.
 
-    Boxes and recesses of up to 0.5 m stand at its walls, ``details`` of them a metre. The start is in the first one.
+    Boxes and recesses of up to 0.5 m stand at its walls, ``details`` of them a metre. The start is
+    in the first one.
     """
     width, height = (rectangles[:, :2] + rectangles[:, 2:4]).max(axis=0) + 1.0
     floor = np.zeros((math.ceil(width / _CELL), math.ceil(height / _CELL)), dtype=np.bool_)
@@ -89,16 +106,24 @@ def _ring(generator: np.random.Generator) -> World:
     width, height, wide = generator.uniform((20.0, 14.0, 1.8), (42.0, 28.0, 2.8))
     blocks = generator.integers(1, 4)
     step = (height - wide) / blocks
-    rows = [[1.0 + wide, 1.0 + wide + row * step, width - 2.0 * wide, step - wide, False] for row in range(blocks)]
+    rows = [
+        [1.0 + wide, 1.0 + wide + row * step, width - 2.0 * wide, step - wide, False]
+        for row in range(blocks)
+    ]
     return _cut_world(
-        "ring", np.array([[1.0, 1.0, width, height, True], *rows]), generator.uniform(0.02, 0.2), generator
+        "ring",
+        np.array([[1.0, 1.0, width, height, True], *rows]),
+        generator.uniform(0.02, 0.2),
+        generator,
     )
 
 
 def _halls(generator: np.random.Generator) -> World:
     """Two to four halls in a row, joined by corridors."""
     x, wide, rectangles = 1.0, generator.uniform(1.8, 2.8), list[list[float]]()
-    for width, height, gap, y in generator.uniform((8, 8, 2, 1), (15, 15, 8, 5), (generator.integers(2, 5), 4)):
+    for width, height, gap, y in generator.uniform(
+        (8, 8, 2, 1), (15, 15, 8, 5), (generator.integers(2, 5), 4)
+    ):
         rectangles += [[x, 1.0, width, height, True], [x + width - 0.1, y, gap + 0.2, wide, True]]
         x += width + gap
     return _cut_world("halls", np.array(rectangles[:-1]), generator.uniform(0.05, 0.2), generator)
@@ -107,9 +132,14 @@ def _halls(generator: np.random.Generator) -> World:
 def _rooms(generator: np.random.Generator) -> World:
     """A random plan of rooms and corridors."""
     config = FloorPlanConfig(
-        width=(14.0, 32.0), height=(10.0, 22.0), min_room=2.6, corridor=1.0, corridor_width=(1.5, 2.4),
-        door_width=(0.9, 1.3), obstacles=generator.uniform(0.1, 1.5),
-    )  # fmt: skip
+        width=(14.0, 32.0),
+        height=(10.0, 22.0),
+        min_room=2.6,
+        corridor=1.0,
+        corridor_width=(1.5, 2.4),
+        door_width=(0.9, 1.3),
+        obstacles=generator.uniform(0.1, 1.5),
+    )
     return floor_plan(config, generator, _ROBOT.radius + 0.1)
 
 
@@ -127,15 +157,21 @@ def _real(generator: np.random.Generator) -> World:
 
 
 WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
-    "rooms": _rooms, "ring": _ring, "halls": _halls, "real": _real
-}  # fmt: skip
+    "rooms": _rooms,
+    "ring": _ring,
+    "halls": _halls,
+    "real": _real,
+}
 
 
-def driven_path(world: World, length: float, generator: np.random.Generator, *, revisits: bool = True) -> FloatArray:
-    """Poses (n, 3) in each control period of a drive of at least ``length`` m from place to place, with stops there.
+def driven_path(
+    world: World, length: float, generator: np.random.Generator, *, revisits: bool = True
+) -> FloatArray:
+    """Poses (n, 3) in each control period of a drive of at least ``length`` m from place to place,
+    with stops there.
 
-    Without ``revisits``, the robot only goes to new places, and stops when no place is far from where it has been.
-    Headings are not wrapped.
+    Without ``revisits``, the robot only goes to new places, and stops when no place is far from
+    where it has been. Headings are not wrapped.
     """
     space = world.free_space(_ROBOT.radius)
     centres = space.centres(starting_cells(world, space))
@@ -159,7 +195,8 @@ def driven_path(world: World, length: float, generator: np.random.Generator, *, 
 
 @dataclass(frozen=True, eq=False)
 class MadeUpLog:
-    """A drive: the kind of its building with the seed, its kind of odometry, a key of ``ODOMETRY``, and its scans.
+    """A drive: the kind of its building with the seed, its kind of odometry, a key of ``ODOMETRY``,
+    and its scans.
 
     Of these: times (n,), s; true poses and odometry (n, 3); ranges (n, 180), m.
     """
@@ -177,11 +214,15 @@ def _kind(seed: int) -> str:
 
 
 def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True) -> MadeUpLog:
-    """The log of a seed; the kinds of buildings take turns. ``length`` is the distance driven, m; None to draw it."""
+    """The log of a seed; the kinds of buildings take turns. ``length`` is the distance driven, m;
+    None to draw it.
+    """
     generator = np.random.default_rng(seed)
     kind = _kind(seed)
     world = WORLDS[kind](generator)
-    path = driven_path(world, length or generator.uniform(100.0, 220.0), generator, revisits=revisits)
+    path = driven_path(
+        world, length or generator.uniform(100.0, 220.0), generator, revisits=revisits
+    )
     period, delay = _ROBOT.control_period, generator.uniform(0.0, 0.15)
     time = np.arange(0.0, period * (len(path) - 1) - delay, generator.uniform(0.15, 0.4))
     truth, later = (
@@ -190,7 +231,9 @@ def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True
     )
     errors = str(generator.choice(list(ODOMETRY)))
     odometry = _odometry(later, errors, generator)
-    return MadeUpLog(f"{kind}{seed}", errors, time, truth, odometry, _ranges(world, time, truth, generator))
+    return MadeUpLog(
+        f"{kind}{seed}", errors, time, truth, odometry, _ranges(world, time, truth, generator)
+    )
 
 
 def _odometry(truth: FloatArray, errors: str, generator: np.random.Generator) -> FloatArray:
@@ -208,22 +251,33 @@ def _odometry(truth: FloatArray, errors: str, generator: np.random.Generator) ->
     return integrate(np.zeros(3), moves)
 
 
-def _ranges(world: World, time: FloatArray, truth: FloatArray, generator: np.random.Generator) -> FloatArray:
-    """Ranges (n, 180), m, with noise, lost readings, walls of glass that are not seen, and people who walk past."""
+def _ranges(
+    world: World, time: FloatArray, truth: FloatArray, generator: np.random.Generator
+) -> FloatArray:
+    """Ranges (n, 180), m, with noise, lost readings, walls of glass that are not seen, and people
+    who walk past.
+    """
     edges = world.edges[generator.random(len(world.edges)) >= generator.choice((0.0, 0.05))]
     angles = truth[:, 2:] + _BEAMS
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1).reshape(-1, 2)
     origins = np.repeat(truth[:, :2], len(_BEAMS), axis=0)
     ranges, _ = cast(build_wall_index(edges), origins, directions, np.full(angles.size, _REACH))
     ranges = ranges.reshape(angles.shape)
-    for begin in np.cumsum(generator.exponential(generator.uniform(8.0, 60.0), int(time[-1] / 8.0))):
-        lasts, (bearing, distance) = generator.uniform(1.0, 5.0), generator.uniform((-1.5, 0.5), (1.5, 4.0), (2, 2)).T
+    for begin in np.cumsum(
+        generator.exponential(generator.uniform(8.0, 60.0), int(time[-1] / 8.0))
+    ):
+        lasts, (bearing, distance) = (
+            generator.uniform(1.0, 5.0),
+            generator.uniform((-1.5, 0.5), (1.5, 4.0), (2, 2)).T,
+        )
         rows = np.flatnonzero((time >= begin) & (time < begin + lasts))
         share = ((time[rows] - begin) / lasts)[:, None]
         away = distance[0] + share * (distance[1] - distance[0])
         covered = np.abs(_BEAMS - bearing[0] - share * (bearing[1] - bearing[0])) < 0.2 / away
         ranges[rows] = np.where(covered, np.minimum(ranges[rows], away), ranges[rows])
-    seen = (ranges < _REACH) & (generator.random(ranges.shape) >= generator.choice((0.0, 0.01, 0.08)))
+    seen = (ranges < _REACH) & (
+        generator.random(ranges.shape) >= generator.choice((0.0, 0.01, 0.08))
+    )
     noisy = ranges + generator.choice((0.01, 0.03)) * generator.standard_normal(ranges.shape)
     return np.where(seen, np.maximum(noisy, MIN_RANGE), _REACH)
 
@@ -232,33 +286,44 @@ def known_relations(log: MadeUpLog) -> Relations:
     """True motions of the robot: over about a second, and as many loops where there are any."""
     generator, count = np.random.default_rng(len(log.time)), len(log.time)
     firsts = generator.choice(count - 1, min(_RELATIONS, count - 1), replace=False)
-    near = np.column_stack((firsts, np.minimum(np.searchsorted(log.time, log.time[firsts] + 1.0), count - 1)))
+    near = np.column_stack(
+        (firsts, np.minimum(np.searchsorted(log.time, log.time[firsts] + 1.0), count - 1))
+    )
     some = generator.integers(count, size=(200 * _RELATIONS, 2))
     apart = np.hypot(*(log.truth[some[:, 0], :2] - log.truth[some[:, 1], :2]).T)
-    loops = some[(apart < _LOOP_WITHIN) & (log.time[some[:, 1]] - log.time[some[:, 0]] > _LOOP_AFTER)]
+    loops = some[
+        (apart < _LOOP_WITHIN) & (log.time[some[:, 1]] - log.time[some[:, 0]] > _LOOP_AFTER)
+    ]
     begin, end = np.concatenate((near, loops[:_RELATIONS])).T
     return Relations(log.time[begin], log.time[end], se2.between(log.truth[begin], log.truth[end]))
 
 
 def sparse_sensor(seed: int) -> tuple[tuple[float, ...], float]:
-    """The beams of a log, deg (4, 6, 8 or 11 in turns), and the readings of walls in a metre of driving (5 to 40)."""
+    """The beams of a log, deg (4, 6, 8 or 11 in turns), and the readings of walls in a metre of
+    driving (5 to 40).
+    """
     count = (4, 6, 8, 11)[seed // 8 % 4]
     points = 5.0 * 8.0 ** np.random.default_rng([seed, 1]).random()
     return tuple(np.round(np.linspace(90.0, -90.0, count), 4).tolist()), float(f"{points:.3g}")
 
 
 def thinned(hit: BoolArray, moves: FloatArray, points: float) -> BoolArray:
-    """The hits (n, b) of so many scans, evenly spread, that ``points`` of them are left in a metre of driving."""
-    share = min(1.0, points * float(np.hypot(moves[:, 0], moves[:, 1]).sum()) / max(1, int(hit.sum())))
+    """The hits (n, b) of so many scans, evenly spread, that ``points`` of them are left in a metre
+    of driving.
+    """
+    share = min(
+        1.0, points * float(np.hypot(moves[:, 0], moves[:, 1]).sum()) / max(1, int(hit.sum()))
+    )
     number = np.cumsum(hit.any(axis=1))
     return np.asarray(hit & (np.floor(share * number) > np.floor(share * (number - 1)))[:, None])
 
 
 def smoothing_scores(log: MadeUpLog, seed: int, jitter: float) -> dict[str, Any]:
-    """The errors of a log's path, smoothed without the filter in front of it, its status, and the processor time.
+    """The errors of a log's path, smoothed without the filter in front of it, its status, and the
+    processor time.
 
-    The errors are those of the relations, and of the positions after rigid alignment, m. ``jitter`` is the standard
-    deviation of further noise of the ranges, m.
+    The errors are those of the relations, and of the positions after rigid alignment, m. ``jitter``
+    is the standard deviation of further noise of the ranges, m.
     """
     beams, points = sparse_sensor(seed)
     used, rows = nearest_beams(np.degrees(_BEAMS), beams), np.arange(len(log.time))
@@ -271,9 +336,15 @@ def smoothing_scores(log: MadeUpLog, seed: int, jitter: float) -> dict[str, Any]
     hit, moves = (ranges > MIN_RANGE) & (ranges < _RANGE), se2.between(odometry[:-1], odometry[1:])
     noise = jitter * np.random.default_rng(1).standard_normal(ranges.shape)
     data = LogData(
-        time_s, odometry, np.where(hit, ranges + noise, ranges), thinned(hit, moves, points),
-        np.zeros((len(beams), 2)), _BEAMS[used], _RANGE, _STD,
-    )  # fmt: skip
+        time_s,
+        odometry,
+        np.where(hit, ranges + noise, ranges),
+        thinned(hit, moves, points),
+        np.zeros((len(beams), 2)),
+        _BEAMS[used],
+        _RANGE,
+        _STD,
+    )
     config, begin = GraphConfig(), time.process_time()
     found, signals = trusted_path(with_reversing(data, config), np.zeros(3), config)
     seconds = time.process_time() - begin
@@ -281,5 +352,6 @@ def smoothing_scores(log: MadeUpLog, seed: int, jitter: float) -> dict[str, Any]
     return {
         "ate_smoothed_m": summary(errors)["relation_error_m"],
         "ate_smoothed_aligned_m": trajectory_metrics(log.truth[rows], found.poses)["ate_aligned_m"],
-        "status": signals.status.level, "smoothing_cpu_s": seconds,
-    }  # fmt: skip
+        "status": signals.status.level,
+        "smoothing_cpu_s": seconds,
+    }

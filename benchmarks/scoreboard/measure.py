@@ -1,4 +1,6 @@
-"""What is measured in a cell of the scoreboard. Only the truth, the log and what the estimator says are used."""
+"""What is measured in a cell of the scoreboard. Only the truth, the log and what the estimator says
+are used.
+"""
 
 import functools
 import time
@@ -41,7 +43,9 @@ Scores = dict[str, Any]
 
 
 def measure(rows: Mapping[str, Row], jitter: float, job: Job) -> Outcome:
-    """Measure a cell. ``rows`` has the row of the job, and ``jitter`` is further noise of recorded ranges, m."""
+    """Measure a cell. ``rows`` has the row of the job, and ``jitter`` is further noise of recorded
+    ranges, m.
+    """
     row = rows[job.policy]
     warm_up()
     scores = _KINDS[row.kind](row, job, jitter)
@@ -66,13 +70,17 @@ def _drive(row: Row, job: Job, jitter: float) -> Scores:
     assert log.true_pose is not None  # noqa: S101 (drives are recorded with the truth)
     true, smoothed = log.true_pose[:, None], found.smoothed
     poses = None if smoothed is None else smoothed.poses[:, None]
-    covariances = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    covariances = (
+        None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    )
     return {
         **path_scores(true, found.estimated[:, None], found.covariances[:, None], ""),
         **({} if poses is None else path_scores(true, poses, covariances, "_smoothed")),
         **while_driving(log.time, true, found.estimated[:, None], found.levels[:, None]),
         **_wall_scores(world, log, found, true[:, 0] if poses is None else poses[:, 0]),
-        **at_the_end(_final_level(found), true, found.estimated[:, None] if poses is None else poses),
+        **at_the_end(
+            _final_level(found), true, found.estimated[:, None] if poses is None else poses
+        ),
         **_times(found, spent),
     }
 
@@ -85,7 +93,9 @@ def _times(found: Replay, spent: float) -> Scores:
 def _final_level(found: Replay) -> str:
     """The status of the smoothed path, or of the filter where nothing was smoothed."""
     smoothed = found.smoothed
-    filtered = found.status.level if smoothed is None or smoothed.status is None else smoothed.status.level
+    filtered = (
+        found.status.level if smoothed is None or smoothed.status is None else smoothed.status.level
+    )
     return str(filtered if smoothed is None else smoothed.figures.get("smoothed_status", filtered))
 
 
@@ -99,29 +109,48 @@ def _wall_scores(world: World, log: RecordedLog, found: Replay, drawn_from: Floa
 
 
 def _faces(world: World, robot: RobotSpec, segments: FloatArray, alignment: FloatArray) -> Scores:
-    """The share of the visible sides of obstacles, however short, that aligned segments (k, 4) are within 5 cm of."""
+    """The share of the visible sides of obstacles, however short, that aligned segments (k, 4) are
+    within 5 cm of.
+    """
     points, _, owner = metrics.visible_samples(world, robot.radius, robot.reach, shortest=0.0)
-    points, moved = points[owner >= len(world.walls)], transform_points(alignment, segments.reshape(-1, 2))
+    points, moved = (
+        points[owner >= len(world.walls)],
+        transform_points(alignment, segments.reshape(-1, 2)),
+    )
     if not len(points):
         return {}
     away = distances(points, moved.reshape(-1, 4)).min(axis=1, initial=np.inf)
     return {"faces_5cm": float(np.mean(away <= metrics.NEARER))}
 
 
-def path_scores(true: FloatArray, poses: FloatArray, covariances: FloatArray | None, suffix: str) -> Scores:
-    """Errors of paths (t, n, 3) of n robots with covariances (t, n, 3, 3), as means over the robots."""
+def path_scores(
+    true: FloatArray, poses: FloatArray, covariances: FloatArray | None, suffix: str
+) -> Scores:
+    """Errors of paths (t, n, 3) of n robots with covariances (t, n, 3, 3), as means over the
+    robots.
+    """
 
     def of_one(*columns: FloatArray) -> dict[str, float | None]:
         errors = metrics.trajectory_metrics(*columns[:2])
-        found = {f"ate{suffix}_m": errors["ate_m"], f"ate{suffix}_aligned_m": errors["ate_aligned_m"]}
-        nees = {f"nees{suffix}": metrics.consistency_metrics(*columns)["anees"]} if len(columns) == 3 else {}
+        found = {
+            f"ate{suffix}_m": errors["ate_m"],
+            f"ate{suffix}_aligned_m": errors["ate_aligned_m"],
+        }
+        nees = (
+            {f"nees{suffix}": metrics.consistency_metrics(*columns)["anees"]}
+            if len(columns) == 3
+            else {}
+        )
         return plain({**found, **nees})
 
     return over_robots(of_one, true, poses, *(() if covariances is None else (covariances,)))
 
 
-def while_driving(time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray) -> Scores:
-    """How long poses (t, n, 3) were wrong although the status (t, n) was ok, and right although it was not, s.
+def while_driving(
+    time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray
+) -> Scores:
+    """How long poses (t, n, 3) were wrong although the status (t, n) was ok, and right although it
+    was not, s.
 
     The times of several robots are added.
     """
@@ -135,22 +164,37 @@ def while_driving(time_s: FloatArray, true: FloatArray, estimated: FloatArray, l
 
 def at_the_end(level: str, true: FloatArray, poses: FloatArray) -> Scores:
     """The final status, and whether it is ok although a path (t, n, 3) is wrong."""
-    errors = [metrics.trajectory_metrics(true[:, one], poses[:, one])["ate_aligned_m"] for one in range(true.shape[1])]
-    return {"status": level, "wrong_ok_end": int(level == "ok" and max(each or 0.0 for each in errors) > WRONG_PATH)}
+    errors = [
+        metrics.trajectory_metrics(true[:, one], poses[:, one])["ate_aligned_m"]
+        for one in range(true.shape[1])
+    ]
+    return {
+        "status": level,
+        "wrong_ok_end": int(level == "ok" and max(each or 0.0 for each in errors) > WRONG_PATH),
+    }
 
 
 def _exploration(row: Row, job: Job, jitter: float) -> Scores:
-    """An exploration as ``limslam run`` does it. Jitter does not apply: it would lead to another drive."""
+    """An exploration as ``limslam run`` does it. Jitter does not apply: it would lead to another
+    drive.
+    """
     del jitter
     kidnap_at, longest = None, row.seconds
     if row.kidnapped is not None:
         kidnap_at = round(float(np.random.default_rng(job.seed).uniform(*row.kidnapped)), 1)
         longest += kidnap_at
     config = RunConfig(
-        world_of(job.world), row.noise, job.preset, job.seed, longest, robots=row.robots, until="walls",
-        unknown_starts=row.unknown_starts, kidnap_at=kidnap_at,
+        world_of(job.world),
+        row.noise,
+        job.preset,
+        job.seed,
+        longest,
+        robots=row.robots,
+        until="walls",
+        unknown_starts=row.unknown_starts,
+        kidnap_at=kidnap_at,
         true_noise=row.true_noise,
-    )  # fmt: skip
+    )
     begin = time.process_time()
     episode = run_episode(config)
     driven = time.process_time()
@@ -161,10 +205,18 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     first = (episode.placed_steps, 0, slice(2))
     alignment = metrics.rigid_alignment(episode.true[first], episode.final_map.poses[first])
     faces = _faces(episode.world, config.robot, episode.final_map.segments, alignment)
-    walls = {"f1_5cm": found["wall_f1_5cm"], "f1_aligned_5cm": found["wall_f1_aligned_5cm"], **faces}
+    walls = {
+        "f1_5cm": found["wall_f1_5cm"],
+        "f1_aligned_5cm": found["wall_f1_aligned_5cm"],
+        **faces,
+    }
     if kidnap_at is None:
         paths = path_scores(true, estimated, episode.covariances[:, placed], "")
-        paths |= {} if smoothed is None else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
+        paths |= (
+            {}
+            if smoothed is None
+            else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
+        )
         paths |= {"placed": int(episode.placed_robots == row.robots)} if row.unknown_starts else {}
     else:
         # Of a lost robot, the filter's path is in another frame, and covariances say nothing.
@@ -177,13 +229,17 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
         **while_driving(episode.time, true, estimated, episode.levels[:, placed]),
         **walls,
         **at_the_end(found["status"], true, estimated if smoothed is None else smoothed.poses),
-        "explored": int(episode.is_finished), "driven_s": float(episode.time[-1]),
-        "drive_cpu_s": driven - begin, "smoothing_cpu_s": spent,
-    }  # fmt: skip
+        "explored": int(episode.is_finished),
+        "driven_s": float(episode.time[-1]),
+        "drive_cpu_s": driven - begin,
+        "smoothing_cpu_s": spent,
+    }
 
 
 def _log(row: Row, job: Job, jitter: float) -> Scores:
-    """A recorded log, replayed as ``limslam replay`` does. The errors are those of relations, in place of an ATE."""
+    """A recorded log, replayed as ``limslam replay`` does. The errors are those of relations, in
+    place of an ATE.
+    """
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
 
@@ -200,7 +256,10 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
         for kind, name in (("", "relation_error_m"), ("_aligned", "loop_relation_error_m"))
     }
     level, loops = _final_level(found), scores["ate_smoothed_aligned_m"]
-    end = {"status": level, "wrong_ok_end": int(level == "ok" and loops is not None and loops > WRONG_PATH)}
+    end = {
+        "status": level,
+        "wrong_ok_end": int(level == "ok" and loops is not None and loops > WRONG_PATH),
+    }
     return {**scores, **end, **_times(found, spent)}
 
 
@@ -209,10 +268,20 @@ def _made_up_log(row: Row, job: Job, jitter: float) -> Scores:
     from benchmarks.scoreboard.made_up_logs import made_up_log, smoothing_scores
 
     del row
-    found = smoothing_scores(made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0), job.seed, jitter)
-    return {**found, "wrong_ok_end": int(found["status"] == "ok" and found["ate_smoothed_aligned_m"] > WRONG_PATH)}
+    found = smoothing_scores(
+        made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0), job.seed, jitter
+    )
+    return {
+        **found,
+        "wrong_ok_end": int(
+            found["status"] == "ok" and found["ate_smoothed_aligned_m"] > WRONG_PATH
+        ),
+    }
 
 
 _KINDS: dict[str, Callable[[Row, Job, float], Scores]] = {
-    "drive": _drive, "exploration": _exploration, "log": _log, "made-up log": _made_up_log
-}  # fmt: skip
+    "drive": _drive,
+    "exploration": _exploration,
+    "log": _log,
+    "made-up log": _made_up_log,
+}

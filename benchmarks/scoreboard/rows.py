@@ -1,4 +1,6 @@
-"""The rows of the scoreboard, read from a TOML file. A row is a condition, and its cells are drives under it."""
+"""The rows of the scoreboard, read from a TOML file. A row is a condition, and its cells are drives
+under it.
+"""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -23,30 +25,35 @@ class Row:
     """A row of the scoreboard."""
 
     name: str  # name of the row
-    # ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop. ``log``: a log in
-    # the folder of recorded data, replayed. ``made-up log``: a log of few points, of those of
-    # :mod:`benchmarks.scoreboard.made_up_logs`, smoothed.
+    # ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop.
+    # ``log``: a log in the folder of recorded data, replayed. ``made-up log``: a log of few points,
+    # of those of :mod:`benchmarks.scoreboard.made_up_logs`, smoothed.
     kind: Kind
-    # worlds, seeds: worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of them
+    # worlds, seeds: worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of
+    # them
     worlds: tuple[str, ...] = ("",)
     seeds: int = 1
     noise: float = 0.02  # standard deviation of the ranges that the estimator is told, m
     # The simulator's noise. Its ``sensor_noise`` is ``noise`` unless it is given here.
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
-    # How long a drive lasts, or the longest time of an exploration, s; after it was kidnapped, if it is
+    # How long a drive lasts, or the longest time of an exploration, s; after it was kidnapped, if
+    # it is
     seconds: float = 150.0
-    # Whether the robot of a drive drives straight on until it hits something, instead of from place to place
+    # Whether the robot of a drive drives straight on until it hits something, instead of from place
+    # to place
     bumps: bool = False
-    # A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of :mod:`benchmarks.suite.faults`, from the
-    # start on (``delayed``: in the second half of the drive)
+    # A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of
+    # :mod:`benchmarks.suite.faults`, from the start on (``delayed``: in the second half of the
+    # drive)
     fault: str | None = None
-    # robots, unknown_starts, kidnapped: number of robots of an exploration, whether the second one's start is
-    # unknown, and the earliest and the latest time at which the robot is kidnapped, s
+    # robots, unknown_starts, kidnapped: number of robots of an exploration, whether the second
+    # one's start is unknown, and the earliest and the latest time at which the robot is kidnapped,
+    # s
     robots: int = 1
     unknown_starts: bool = False
     kidnapped: tuple[float, float] | None = None
-    # file, relations, beams, max_range: a log and its relations in the folder of recorded data, the directions of its
-    # beams, deg, and their longest range, m
+    # file, relations, beams, max_range: a log and its relations in the folder of recorded data, the
+    # directions of its beams, deg, and their longest range, m
     file: str = ""
     relations: str = ""
     beams: tuple[float, ...] = ()
@@ -60,7 +67,9 @@ class Row:
         if self.kind == "log" and not (self.file and self.relations and self.beams):
             raise ValueError("a log needs its file, relations and beams")
         if self.fault is not None and self.fault not in DRIVE_FAULTS:
-            raise ValueError(f"no fault is called {self.fault!r}; there are {', '.join(DRIVE_FAULTS)}")
+            raise ValueError(
+                f"no fault is called {self.fault!r}; there are {', '.join(DRIVE_FAULTS)}"
+            )
         if self.kind != "drive" and (self.fault or self.bumps):
             raise ValueError("fault and bumps go with the kind drive")
         if self.kind != "exploration" and (self.robots > 1 or self.kidnapped):
@@ -71,39 +80,58 @@ class Row:
         return [
             Job(
                 world.replace(":seed", f":{seed}") or self.file or self.kind,
-                self.noise, self.robots, DEFAULT_PRESET, self.name, seed=seed,
+                self.noise,
+                self.robots,
+                DEFAULT_PRESET,
+                self.name,
+                seed=seed,
             )
             for seed in range(first_seed, first_seed + self.seeds)
             for world in self.worlds
-        ]  # fmt: skip
+        ]
 
     @property
     def needs_data(self) -> bool:
         """Whether the row needs the folder of recorded data."""
-        return self.kind in {"log", "made-up log"} or any(world.startswith("plan:") for world in self.worlds)
+        return self.kind in {"log", "made-up log"} or any(
+            world.startswith("plan:") for world in self.worlds
+        )
 
 
 @dataclass(frozen=True)
 class Rows:
-    """A file of rows: the first seeds of development and of figures that are published, and the rows."""
+    """A file of rows: the first seeds of development and of figures that are published, and the
+    rows.
+    """
 
     tuning_seed: int
     unused_seed: int
     row: tuple[Row, ...]
 
     def __post_init__(self) -> None:
-        repeated = [name for name, count in Counter(row.name for row in self.row).items() if count > 1]
+        repeated = [
+            name for name, count in Counter(row.name for row in self.row).items() if count > 1
+        ]
         if repeated or not self.row:
-            raise ValueError(f"each row has a name of its own, unlike {', '.join(repeated) or 'no row'}")
+            raise ValueError(
+                f"each row has a name of its own, unlike {', '.join(repeated) or 'no row'}"
+            )
 
     def chosen(self, patterns: Sequence[str]) -> list[Row]:
-        """The rows whose names match one of the patterns (``*`` stands for any text); all without patterns."""
+        """The rows whose names match one of the patterns (``*`` stands for any text); all without
+        patterns.
+        """
         for pattern in patterns:
             if not any(fnmatchcase(row.name, pattern) for row in self.row):
                 raise ValueError(
-                    f"--rows: no row is called {pattern!r}; there are {', '.join(r.name for r in self.row)}"
+                    f"--rows: no row is called {pattern!r}; there are "
+                    f"{', '.join(r.name for r in self.row)}"
                 )
-        return [row for row in self.row if not patterns or any(fnmatchcase(row.name, each) for each in patterns)]
+        return [
+            row
+            for row in self.row
+            if not patterns or any(fnmatchcase(row.name, each) for each in patterns)
+        ]
 
 
 def read_rows(path: Path = SHIPPED) -> Rows:

@@ -1,4 +1,6 @@
-"""Faults of a robot, in closed loop or in a recorded drive, and what became of a robot in which one began."""
+"""Faults of a robot, in closed loop or in a recorded drive, and what became of a robot in which one
+began.
+"""
 
 import math
 from collections import deque
@@ -15,8 +17,9 @@ from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Observation, RobotSpec
 
 DRIVE_FAULTS = {**FAULTS, "turned beam": 5.0, "slips": 14.0}
-"""Faults of recorded drives, and their sizes: ``turned beam``: one beam is mounted so many degrees to the left, by the
-simulator; ``slips``: the robot turns by so many degrees, to either side, and its wheels do not notice.
+"""Faults of recorded drives, and their sizes: ``turned beam``: one beam is mounted so many degrees
+to the left, by the simulator; ``slips``: the robot turns by so many degrees, to either side, and
+its wheels do not notice.
 """
 
 RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
@@ -25,10 +28,11 @@ RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
 
 @dataclass(eq=False)
 class Fault:
-    """One fault of a robot, of a kind in :data:`DRIVE_FAULTS`, which alters what it reports from a time (s) on.
+    """One fault of a robot, of a kind in :data:`DRIVE_FAULTS`, which alters what it reports from a
+    time (s) on.
 
-    The seed chooses the beam, and ``robot`` is without the fault. ``slips`` has the turns (rad) that the wheels do not
-    notice, by the number of the step.
+    The seed chooses the beam, and ``robot`` is without the fault. ``slips`` has the turns (rad)
+    that the wheels do not notice, by the number of the step.
     """
 
     kind: str
@@ -75,7 +79,8 @@ class Fault:
         elif self.kind == "jump" and is_first:
             wheels += self.size
         elif self.kind == "slips":
-            # Turning to the left without notice means that the wheels report a turn to the right too little.
+            # Turning to the left without notice means that the wheels report a turn to the right
+            # too little.
             wheels += 0.5 * self.robot.axle * self.slips.get(step, 0.0) * np.array([1.0, -1.0])
         return Observation(ranges=ranges, wheels=wheels)
 
@@ -84,16 +89,22 @@ class Fault:
         if self.kind not in {"late", "delayed"}:
             return ranges
         self._earlier.append(ranges)
-        return self._earlier.popleft() if len(self._earlier) > round(self.size / self.robot.control_period) else ranges
+        return (
+            self._earlier.popleft()
+            if len(self._earlier) > round(self.size / self.robot.control_period)
+            else ranges
+        )
 
 
 def fault_begins(job: Job) -> float | None:
-    """When the fault of a job begins, s: at a whole step that the seed chooses. None for a healthy robot.
+    """When the fault of a job begins, s: at a whole step that the seed chooses. None for a healthy
+    robot.
 
     Raises
     ------
     ValueError
-        If there is no such fault, its times are no times, or the job is not the exploration of one robot.
+        If there is no such fault, its times are no times, or the job is not the exploration of one
+        robot.
     """
     if job.fault is None:
         return None
@@ -113,7 +124,9 @@ def fault_begins(job: Job) -> float | None:
 def with_fault(
     fault: Fault, ranges: FloatArray, wheels: FloatArray, times: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Ranges (t, n_beams) and wheel travel (t, 2) of a recorded drive, as a robot with a fault reports them."""
+    """Ranges (t, n_beams) and wheel travel (t, 2) of a recorded drive, as a robot with a fault
+    reports them.
+    """
     told = [
         fault.altered(Observation(ranges=seen, wheels=driven), time)
         for seen, driven, time in zip(ranges, wheels, times, strict=True)
@@ -125,11 +138,14 @@ def drawn_slips(steps: int, generator: np.random.Generator, count: int = 3) -> d
     """Slips to either side, spread over a drive: turns (rad) by the numbers of their steps."""
     turns = math.radians(DRIVE_FAULTS["slips"]) * generator.choice((-1.0, 1.0), count)
     places = np.linspace(0.0, steps, count + 2)[1:-1].astype(int)
-    return dict(zip((places + generator.integers(-50, 50, count)).tolist(), turns.tolist(), strict=True))
+    return dict(
+        zip((places + generator.integers(-50, 50, count)).tolist(), turns.tolist(), strict=True)
+    )
 
 
 def fault_scores(episode: Episode, begin: float) -> dict[str, Metric]:
-    """What became of the robot of a run in which a fault began (s), by the names in ``docs/metrics.md``.
+    """What became of the robot of a run in which a fault began (s), by the names in
+    ``docs/metrics.md``.
 
     Raises
     ------
@@ -139,8 +155,14 @@ def fault_scores(episode: Episode, begin: float) -> dict[str, Metric]:
     period = episode.config.robot.control_period
     first = round(begin / period)
     if len(episode.time) <= first:
-        raise ValueError(f"the exploration ended after {episode.time[-1]:.1f} s, before the fault at {begin:g} s")
-    true, estimated, level = episode.true[first:, 0], episode.estimated[first:, 0], episode.levels[first:, 0]
+        raise ValueError(
+            f"the exploration ended after {episode.time[-1]:.1f} s, before the fault at {begin:g} s"
+        )
+    true, estimated, level = (
+        episode.true[first:, 0],
+        episode.estimated[first:, 0],
+        episode.levels[first:, 0],
+    )
     is_right = (np.hypot(*(estimated - true)[:, :2].T) <= RIGHT_PLACE) & (
         np.abs(wrap_angle(estimated[:, 2] - true[:, 2])) <= RIGHT_HEADING
     )

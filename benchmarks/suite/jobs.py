@@ -10,16 +10,25 @@ from limslam_env.messages import counted
 LAPS_POLICY = "laps"
 KIDNAPPED = "kidnapped"
 FAULTS = {
-    KIDNAPPED: 0.0, "reversed": 0.0, "swapped": 0.0, "delayed": 1.0, "jump": 5.0, "late": 0.1, "dead beam": 0.0,
-    "stuck beam": 0.4, "offset": 0.03,
-}  # fmt: skip
-"""Faults that can begin in the middle of an exploration, and their sizes. In results, they take the policy's place.
+    KIDNAPPED: 0.0,
+    "reversed": 0.0,
+    "swapped": 0.0,
+    "delayed": 1.0,
+    "jump": 5.0,
+    "late": 0.1,
+    "dead beam": 0.0,
+    "stuck beam": 0.4,
+    "offset": 0.03,
+}
+"""Faults that can begin in the middle of an exploration, and their sizes. In results, they take the
+policy's place.
 
-``kidnapped``: the robot is carried to a random free place and turned, and its wheels do not turn. That is done by the
-run, and no reading is altered. ``reversed``: both wheels report the opposite of their travel. ``swapped``: each wheel
-reports the travel of the other one. ``jump``: the wheels report so many metres once. Of one beam, which the seed
-chooses: ``delayed``: it reports its reading of so many seconds ago; ``dead beam``: it sees nothing; ``stuck beam``: it
-always reads so many metres. Of all beams: ``late``: they report their readings of so many seconds ago; ``offset``: they
+``kidnapped``: the robot is carried to a random free place and turned, and its wheels do not turn.
+That is done by the run, and no reading is altered. ``reversed``: both wheels report the opposite of
+their travel. ``swapped``: each wheel reports the travel of the other one. ``jump``: the wheels
+report so many metres once. Of one beam, which the seed chooses: ``delayed``: it reports its reading
+of so many seconds ago; ``dead beam``: it sees nothing; ``stuck beam``: it always reads so many
+metres. Of all beams: ``late``: they report their readings of so many seconds ago; ``offset``: they
 read so many metres too much.
 """
 RANDOM, PLAN = "random:", "plan:"
@@ -31,10 +40,13 @@ Metric: TypeAlias = float | int | str | None
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a suite. The seed is a field of the job, so that engine and order do not change the result."""
+    """One run of a suite. The seed is a field of the job, so that engine and order do not change
+    the result.
+    """
 
-    # Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
-    # in the data folder). ``random:seed`` becomes the floor plan of the job's seed.
+    # Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or
+    # ``plan:NAME`` (a wall list in the data folder). ``random:seed`` becomes the floor plan of the
+    # job's seed.
     world: str
     noise: float  # standard deviation of the ranges, m
     # robots, preset, policy, ablation, laps, seed, max_time, limit, until: as in
@@ -48,10 +60,11 @@ class Job:
     max_time: float = 1800.0
     limit: bool = False
     until: str = "seen"
-    # A fault of :mod:`benchmarks.suite.faults` that begins in the middle of the run; None for a healthy robot
+    # A fault of :mod:`benchmarks.suite.faults` that begins in the middle of the run; None for a
+    # healthy robot
     fault: str | None = None
-    # fault_time, after_fault: the earliest and the latest time at which the fault begins, s (the seed chooses), and
-    # how long the robot drives after that, s, in place of ``max_time``
+    # fault_time, after_fault: the earliest and the latest time at which the fault begins, s (the
+    # seed chooses), and how long the robot drives after that, s, in place of ``max_time``
     fault_time: tuple[float, float] = (80.0, 120.0)
     after_fault: float = 40.0
 
@@ -67,13 +80,21 @@ class Job:
     def identity(self) -> dict[str, Any]:
         """The fields that identify the job in a line of results."""
         names = ("world", "noise", "robots", "preset", "policy", "ablation", "laps", "seed")
-        policy = LAPS_POLICY if self.laps and self.policy == "frontier" else self.fault or self.policy
+        policy = (
+            LAPS_POLICY if self.laps and self.policy == "frontier" else self.fault or self.policy
+        )
         return {**{name: getattr(self, name) for name in names}, "policy": policy, "key": self.key}
 
     @property
     def title(self) -> str:
         """A description of the job in one line, for display."""
-        parts = [self.world, f"{100 * self.noise:g} cm", self.preset, str(self.identity["policy"]), f"seed {self.seed}"]
+        parts = [
+            self.world,
+            f"{100 * self.noise:g} cm",
+            self.preset,
+            str(self.identity["policy"]),
+            f"seed {self.seed}",
+        ]
         if self.ablation:
             parts.insert(3, self.ablation)
         if self.robots > 1:
@@ -85,7 +106,9 @@ class Job:
 
 @dataclass(frozen=True)
 class Suite:
-    """A suite of jobs, of which no two are equal. The digest is that of the jobs and of the content of their worlds."""
+    """A suite of jobs, of which no two are equal. The digest is that of the jobs and of the content
+    of their worlds.
+    """
 
     name: str
     description: str
@@ -97,8 +120,8 @@ class Suite:
 class Outcome:
     """The result of a successful job: metrics and cost as in a run's ``result.json``.
 
-    :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of the whole job with its scores.
-    ``config`` is a digest of the agent's settings, the robot, and the world.
+    :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of the whole job
+    with its scores. ``config`` is a digest of the agent's settings, the robot, and the world.
     """
 
     metrics: dict[str, Metric]

@@ -1,4 +1,6 @@
-"""Execution of a job, with its world and its scores, and of a suite: each result is stored as soon as there is one."""
+"""Execution of a job, with its world and its scores, and of a suite: each result is stored as soon
+as there is one.
+"""
 
 import functools
 import os
@@ -26,15 +28,20 @@ from limslam_env.worlds.formats.loading import WorldSource, load_world
 
 Work: TypeAlias = Callable[[Job], Outcome]
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""Environment of a worker. Sums that are split over threads differ in their last bits, and all cores are in use."""
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+)
+"""Environment of a worker. Sums that are split over threads differ in their last bits, and all
+cores are in use.
+"""
 
 
 @dataclass(frozen=True)
 class Summary:
     """The summary of an execution of a suite, which took so many seconds.
 
-    Numbers of all jobs, of jobs with rows now, and before; and title and reason of all that ever failed.
+    Numbers of all jobs, of jobs with rows now, and before; and title and reason of all that ever
+    failed.
     """
 
     jobs: int
@@ -47,19 +54,26 @@ class Summary:
     def words(self) -> str:
         """The summary as text for the terminal."""
         earlier = f", {self.before} of them before" if self.before else ""
-        return f"{self.done} of {self.jobs} jobs done{earlier}, {len(self.failures)} failed, {self.seconds:.1f} s"
+        return (
+            f"{self.done} of {self.jobs} jobs done{earlier}, {len(self.failures)} failed, "
+            f"{self.seconds:.1f} s"
+        )
 
 
 def data_folder() -> Path:
     """The folder of recorded data: ``LIMSLAM_DATA``, or ``shared/data`` beside the checkout."""
-    return Path(os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+    return Path(
+        os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data")
+    )
 
 
 def data_file(name: str) -> Path:
     """A file or a folder of recorded data."""
     folder = data_folder()
     if not (folder / name).exists():
-        raise ValueError(f"recorded data not found in {folder}: set LIMSLAM_DATA to the folder that holds {name}")
+        raise ValueError(
+            f"recorded data not found in {folder}: set LIMSLAM_DATA to the folder that holds {name}"
+        )
     return folder / name
 
 
@@ -83,11 +97,19 @@ def run_config(job: Job) -> RunConfig:
     """The run configuration of a job."""
     begin = fault_begins(job)
     return RunConfig(
-        world_source(job.world), job.noise, job.preset, job.seed,
-        job.max_time if begin is None else begin + job.after_fault, job.laps,
-        robots=job.robots, ablation=job.ablation, policy=job.policy, limit=job.limit, until=job.until,
+        world_source(job.world),
+        job.noise,
+        job.preset,
+        job.seed,
+        job.max_time if begin is None else begin + job.after_fault,
+        job.laps,
+        robots=job.robots,
+        ablation=job.ablation,
+        policy=job.policy,
+        limit=job.limit,
+        until=job.until,
         kidnap_at=begin if job.fault == KIDNAPPED else None,
-    )  # fmt: skip
+    )
 
 
 def run_job(job: Job) -> Outcome:
@@ -103,12 +125,21 @@ def run_job(job: Job) -> Outcome:
 
 def _scored(episode: Episode) -> Outcome:
     config = episode.config
-    made_from = {"agent": asdict(config.agent), "robot": asdict(config.robot), "world": episode.world.digest}
+    made_from = {
+        "agent": asdict(config.agent),
+        "robot": asdict(config.robot),
+        "world": episode.world.digest,
+    }
     return Outcome(plain(score(episode)), cost(episode), digest(made_from))
 
 
 def run_suite(
-    suite: Suite, folder: Path, processes: Processes, *, work: Work = run_job, retry_failed: bool = False
+    suite: Suite,
+    folder: Path,
+    processes: Processes,
+    *,
+    work: Work = run_job,
+    retry_failed: bool = False,
 ) -> Summary:
     """Run the jobs of a suite that have no row in a folder yet, which may contain earlier results.
 

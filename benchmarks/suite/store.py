@@ -15,9 +15,10 @@ STAMP = "suite.json"
 class Row:
     """A line of ``results.jsonl``: the fields of a job, and its result.
 
-    The policy is ``laps`` if laps were driven. Metrics have the names of ``docs/metrics.md``. Cost is ignored in
-    comparisons for identity. ``config`` is a digest of the agent's settings and world, and ``key`` that of the job. A
-    job that failed has no metrics and no cost, and the reason as ``error``.
+    The policy is ``laps`` if laps were driven. Metrics have the names of ``docs/metrics.md``. Cost
+    is ignored in comparisons for identity. ``config`` is a digest of the agent's settings and
+    world, and ``key`` that of the job. A job that failed has no metrics and no cost, and the reason
+    as ``error``.
     """
 
     world: str
@@ -39,7 +40,9 @@ class Row:
 
 @dataclass(frozen=True)
 class Stamp(store.BaseStamp):
-    """What all results of a suite have in common: also its name, its digest, and its number of jobs."""
+    """What all results of a suite have in common: also its name, its digest, and its number of
+    jobs.
+    """
 
     suite: str
     digest: str

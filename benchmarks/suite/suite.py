@@ -1,4 +1,6 @@
-"""Suite files: TOML files that define jobs. Unknown content raises an error and is never ignored."""
+"""Suite files: TOML files that define jobs. Unknown content raises an error and is never
+ignored.
+"""
 
 import itertools
 import re
@@ -52,20 +54,50 @@ class _Grid:
     def jobs(self, first_seed: int | None) -> list[Job]:
         """The jobs, with seeds that are moved so that ``first_seed`` is the lowest one."""
         seeds = self.seeds
-        chosen = seeds if isinstance(seeds, tuple) else range(seeds.first, seeds.first + seeds.count)
+        chosen = (
+            seeds if isinstance(seeds, tuple) else range(seeds.first, seeds.first + seeds.count)
+        )
         moved = 0 if first_seed is None else first_seed - min(chosen, default=0)
         axes = (
-            [each for world in self.worlds for each in _worlds(world)], self.noises, self.robots, self.presets,
-            self.policies, [None if each == NO_ABLATION else each for each in self.ablations], self.laps,
-            self.faults, [seed + moved for seed in chosen],
-        )  # fmt: skip
+            [each for world in self.worlds for each in _worlds(world)],
+            self.noises,
+            self.robots,
+            self.presets,
+            self.policies,
+            [None if each == NO_ABLATION else each for each in self.ablations],
+            self.laps,
+            self.faults,
+            [seed + moved for seed in chosen],
+        )
         return [
             Job(
-                world, noise, robots, preset, policy, ablation, laps, seed, self.max_time, self.limit, self.until,
-                fault, self.fault_time, self.after_fault,
+                world,
+                noise,
+                robots,
+                preset,
+                policy,
+                ablation,
+                laps,
+                seed,
+                self.max_time,
+                self.limit,
+                self.until,
+                fault,
+                self.fault_time,
+                self.after_fault,
             )
-            for world, noise, robots, preset, policy, ablation, laps, fault, seed in itertools.product(*axes)
-        ]  # fmt: skip
+            for (
+                world,
+                noise,
+                robots,
+                preset,
+                policy,
+                ablation,
+                laps,
+                fault,
+                seed,
+            ) in itertools.product(*axes)
+        ]
 
 
 @dataclass(frozen=True)
@@ -94,12 +126,14 @@ def load_suite(source: str, first_seed: int | None = None) -> Suite:
     Raises
     ------
     ValueError
-        If there is no such suite, the suite is invalid, or one of its jobs cannot be run; the message names the file.
+        If there is no such suite, the suite is invalid, or one of its jobs cannot be run; the
+        message names the file.
     """
     path = FOLDER / f"{source}.toml" if source in shipped_suites() else Path(source)
     if path.suffix != ".toml":
         raise ValueError(
-            f"no suite is called {source!r}; there are {', '.join(shipped_suites())}, or give a .toml file"
+            f"no suite is called {source!r}; there are {', '.join(shipped_suites())}, or give a "
+            ".toml file"
         )
     label = path.name if path.parent == FOLDER else str(path)
     file = built(_File, read_toml(path), label)
@@ -115,7 +149,9 @@ def load_suite(source: str, first_seed: int | None = None) -> Suite:
 
 
 def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:
-    """The jobs of grids, all of which can be run. Jobs that differ in their seeds only are checked once."""
+    """The jobs of grids, all of which can be run. Jobs that differ in their seeds only are checked
+    once.
+    """
     for number, grid in enumerate(grids, 1):
         with _named(f"[[grid]] {number}"):
             jobs = grid.jobs(first_seed)
@@ -128,7 +164,9 @@ def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:
 
 
 def _without_seed(job: Job) -> Job:
-    """A job without its seed. Each floor plan of a range stands for all of them, since a check takes long."""
+    """A job without its seed. Each floor plan of a range stands for all of them, since a check
+    takes long.
+    """
     return replace(job, world=re.sub(rf"^{RANDOM}\d+", f"{RANDOM}0", job.world), seed=0)
 
 
@@ -139,7 +177,9 @@ def _worlds(world: str) -> list[str]:
         return [world]
     first, last = int(several[1]), int(several[2])
     if last < first:
-        raise ValueError(f"worlds: {described(world)} names no floor plans: the last comes before the first")
+        raise ValueError(
+            f"worlds: {described(world)} names no floor plans: the last comes before the first"
+        )
     return [f"{RANDOM}{seed}" for seed in range(first, last + 1)]
 
 

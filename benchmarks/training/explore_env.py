@@ -1,4 +1,6 @@
-"""The batched environment for a learned explorer: polar views of each robot's grid, and headings as actions."""
+"""The batched environment for a learned explorer: polar views of each robot's grid, and headings as
+actions.
+"""
 
 from typing import Any
 
@@ -22,10 +24,16 @@ REWARD_SCALE = 0.2
 
 
 class _Explorer:
-    """The grid and the collision guard of one robot in one episode, from noisy readings at true poses."""
+    """The grid and the collision guard of one robot in one episode, from noisy readings at true
+    poses.
+    """
 
     def __init__(self, robot: RobotSpec, pose: FloatArray, ranges: ReadingArray) -> None:
-        self._robot, self._grid, self._guard = robot, OccupancyGrid(GridConfig()), CollisionGuard(robot)
+        self._robot, self._grid, self._guard = (
+            robot,
+            OccupancyGrid(GridConfig()),
+            CollisionGuard(robot),
+        )
         self.take_in(pose, ranges)
 
     def take_in(self, pose: FloatArray, ranges: ReadingArray) -> None:
@@ -41,19 +49,20 @@ class _Explorer:
 
 
 class ExploreVectorEnv(gym.vector.VectorWrapper):
-    """Many robots that see and drive as `LearnedPolicy` does, by their true poses, and whose actions are headings.
+    """Many robots that see and drive as `LearnedPolicy` does, by their true poses, and whose
+    actions are headings.
 
     Training on what an estimator believes gained nothing, so that no estimator is asked.
 
-    An action is the number of a direction, counter-clockwise from straight ahead. The robot turns to this direction and
-    drives at full speed for ``HOLD`` steps. Its collision guard keeps it away from observed obstacles. The
-    reward is the sum of the rewards of the steps, scaled.
+    An action is the number of a direction, counter-clockwise from straight ahead. The robot turns
+    to this direction and drives at full speed for ``HOLD`` steps. Its collision guard keeps it away
+    from observed obstacles. The reward is the sum of the rewards of the steps, scaled.
 
     Parameters
     ----------
     env
-        Environments that end an episode and begin the next episode in the same step, with the default kind of robot:
-        observations with ``ranges`` (n, n_beams), info with ``pose`` (n, 3).
+        Environments that end an episode and begin the next episode in the same step, with the
+        default kind of robot: observations with ``ranges`` (n, n_beams), info with ``pose`` (n, 3).
 
     Attributes
     ----------
@@ -69,14 +78,21 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
         super().__init__(env)
         if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
-            raise ValueError("episodes must begin in the step in which others end: autoreset_mode='SameStep'")
+            raise ValueError(
+                "episodes must begin in the step in which others end: autoreset_mode='SameStep'"
+            )
         self.robot: RobotSpec = env.unwrapped.robot  # type: ignore[attr-defined]
         self.single_action_space = spaces.Discrete(VIEW.directions)
         # What driving ahead would show has no smaller bound.
-        self.single_observation_space = spaces.Box(-1.0, 5.0, (VIEW.size(len(self.robot.beams)),), np.float32)
+        self.single_observation_space = spaces.Box(
+            -1.0, 5.0, (VIEW.size(len(self.robot.beams)),), np.float32
+        )
         self.action_space = batch_space(self.single_action_space, env.num_envs)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self.touches, self._in_contact = np.zeros(env.num_envs, dtype=np.int64), np.zeros(env.num_envs, dtype=bool)
+        self.touches, self._in_contact = (
+            np.zeros(env.num_envs, dtype=np.int64),
+            np.zeros(env.num_envs, dtype=bool),
+        )
         self._explorers: list[_Explorer] = []
 
     def reset(
@@ -86,7 +102,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         told, info = self.env.reset(seed=seed, options=options)
         self._in_contact[:], self.touches[:] = False, 0
         self._explorers = [
-            _Explorer(self.robot, pose, ranges) for pose, ranges in zip(info["pose"], told["ranges"], strict=True)
+            _Explorer(self.robot, pose, ranges)
+            for pose, ranges in zip(info["pose"], told["ranges"], strict=True)
         ]
         return self._views(), info
 
@@ -97,12 +114,21 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
 
         A robot whose episode ends early waits in its next episode.
         """
-        headings = [each.pose[2] + VIEW.angle(action) for each, action in zip(self._explorers, actions, strict=True)]
-        rewards, terminated, truncated = np.zeros(self.num_envs), *np.zeros((2, self.num_envs), dtype=bool)
+        headings = [
+            each.pose[2] + VIEW.angle(action)
+            for each, action in zip(self._explorers, actions, strict=True)
+        ]
+        rewards, terminated, truncated = (
+            np.zeros(self.num_envs),
+            *np.zeros((2, self.num_envs), dtype=bool),
+        )
         final = np.full(self.num_envs, None, dtype=object)
         for _ in range(HOLD):
             over = terminated | truncated
-            wheels = [each.wheels(heading) for each, heading in zip(self._explorers, headings, strict=True)]
+            wheels = [
+                each.wheels(heading)
+                for each, heading in zip(self._explorers, headings, strict=True)
+            ]
             told, reward, ended, cut, info = self.env.step(np.where(over[:, None], 0.0, wheels))
             rewards += np.where(over, 0.0, reward)
             contact = np.asarray(info["collision"], dtype=bool)
@@ -113,7 +139,9 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
                     last = info["final_info"]["pose"][number], info["final_obs"][number]["ranges"]
                     self._explorers[number].take_in(*last)
                     final[number] = self._explorers[number].look()
-                    self._explorers[number] = _Explorer(self.robot, info["pose"][number], told["ranges"][number])
+                    self._explorers[number] = _Explorer(
+                        self.robot, info["pose"][number], told["ranges"][number]
+                    )
                 else:
                     self._explorers[number].take_in(info["pose"][number], told["ranges"][number])
             terminated, truncated = terminated | ended, truncated | cut

@@ -1,7 +1,8 @@
-"""``python -m benchmarks train``: PPO on the batched environment, for a fixed budget (extra ``rl``).
+"""``python -m benchmarks train``: PPO on the batched environment, for a fixed budget (extra
+``rl``).
 
-The trained network is `DirectionNetwork`. The reward is the newly seen area according to the ground truth of the
-simulator.
+The trained network is `DirectionNetwork`. The reward is the newly seen area according to the ground
+truth of the simulator.
 """
 
 import json
@@ -24,7 +25,13 @@ import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
 from limslam_agent.output.provenance import commit, versions
 from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
-from limslam_agent.policies.learned.network import COMPASS, LAYERS, SPREAD, DirectionNetwork, save_network
+from limslam_agent.policies.learned.network import (
+    COMPASS,
+    LAYERS,
+    SPREAD,
+    DirectionNetwork,
+    save_network,
+)
 from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
@@ -42,16 +49,17 @@ class TrainConfig:
     """The settings of a training by PPO (Schulman et al. 2017)."""
 
     decisions: int = 300_000  # the budget: number of decisions of all robots together
-    # plans, held_out: seeds of the floor plans for training, and of those for periodic evaluation. The suite
-    # ``explore`` uses others.
+    # plans, held_out: seeds of the floor plans for training, and of those for periodic evaluation.
+    # The suite ``explore`` uses others.
     plans: Sequence[int] = range(100_000, 101_000)
     held_out: Sequence[int] = range(200_000, 200_030)
     noise: float = 0.02  # standard deviation of the ranges, m
-    # robots, rollout: number of robots that drive at once, and number of decisions of each robot in a rollout
+    # robots, rollout: number of robots that drive at once, and number of decisions of each robot in
+    # a rollout
     robots: int = 64
     rollout: int = 64
-    # batch, epochs, learning_rate, gamma, entropy: parameters of PPO. Learning rate and entropy weight decrease to a
-    # twentieth.
+    # batch, epochs, learning_rate, gamma, entropy: parameters of PPO. Learning rate and entropy
+    # weight decrease to a twentieth.
     batch: int = 512
     epochs: int = 3
     learning_rate: float = 7e-4
@@ -60,8 +68,9 @@ class TrainConfig:
     # coverage_goal, max_time: an episode ends at this coverage, or after this time, s
     coverage_goal: float = 0.9
     max_time: float = 200.0
-    # time_cost, collision_cost: costs that are subtracted from the reward (new area in m^2) for each step of 0.1 s,
-    # and for each such step in contact. A touch of a few steps costs as much as seeing a square metre gains.
+    # time_cost, collision_cost: costs that are subtracted from the reward (new area in m^2) for
+    # each step of 0.1 s, and for each such step in contact. A touch of a few steps costs as much as
+    # seeing a square metre gains.
     time_cost: float = 0.02
     collision_cost: float = 0.3
     try_every: int = 70_000  # number of decisions between two evaluations on the held-out plans
@@ -96,16 +105,30 @@ def train(config: TrainConfig, folder: Path) -> Path:
     (folder / CONFIG).write_text(text + "\n", encoding="utf-8")
     torch.set_num_threads(1)
     batch = gym.make_vec(
-        "LimSlam-Random-v0", config.robots, autoreset_mode="SameStep", plans=config.plans, sensor_noise=config.noise,
-        coverage_goal=config.coverage_goal, max_episode_steps=round(10.0 * config.max_time),
-        rewards=RewardConfig(1.0, -config.time_cost, -config.collision_cost), num_threads=1,
-    )  # fmt: skip
+        "LimSlam-Random-v0",
+        config.robots,
+        autoreset_mode="SameStep",
+        plans=config.plans,
+        sensor_noise=config.noise,
+        coverage_goal=config.coverage_goal,
+        max_episode_steps=round(10.0 * config.max_time),
+        rewards=RewardConfig(1.0, -config.time_cost, -config.collision_cost),
+        num_threads=1,
+    )
     model = PPO(
-        DirectionPolicy, Sb3VecEnv(ExploreVectorEnv(batch)), n_steps=config.rollout, batch_size=config.batch,
-        n_epochs=config.epochs, gamma=config.gamma, ent_coef=config.entropy, seed=config.seed, device="cpu",
+        DirectionPolicy,
+        Sb3VecEnv(ExploreVectorEnv(batch)),
+        n_steps=config.rollout,
+        batch_size=config.batch,
+        n_epochs=config.epochs,
+        gamma=config.gamma,
+        ent_coef=config.entropy,
+        seed=config.seed,
+        device="cpu",
         learning_rate=lambda left: config.learning_rate * max(left, LEAST_SHARE),
-        tensorboard_log=str(folder / "tensorboard"), policy_kwargs={"view": VIEW},
-    )  # fmt: skip
+        tensorboard_log=str(folder / "tensorboard"),
+        policy_kwargs={"view": VIEW},
+    )
     model.learn(config.decisions, callback=_Keeper(config, folder), tb_log_name="explore")
     save_network(folder / WEIGHTS, model.policy.mlp_extractor.to_numpy())
     return folder / WEIGHTS
@@ -116,12 +139,22 @@ class _Keeper(BaseCallback):
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         super().__init__()
-        self._config, self._folder, self._begin, self._tried = config, folder, time.process_time(), 0
+        self._config, self._folder, self._begin, self._tried = (
+            config,
+            folder,
+            time.process_time(),
+            0,
+        )
         batch = gym.make_vec(
-            "LimSlam-World-v0", len(config.held_out), world=[f"random:{seed}" for seed in config.held_out],
-            autoreset_mode="SameStep", sensor_noise=config.noise, coverage_goal=None, max_episode_steps=None,
+            "LimSlam-World-v0",
+            len(config.held_out),
+            world=[f"random:{seed}" for seed in config.held_out],
+            autoreset_mode="SameStep",
+            sensor_noise=config.noise,
+            coverage_goal=None,
+            max_episode_steps=None,
             num_threads=1,
-        )  # fmt: skip
+        )
         self._env = ExploreVectorEnv(batch)
 
     def _on_step(self) -> bool:
@@ -153,11 +186,13 @@ class _Keeper(BaseCallback):
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
         row = {
-            "decisions": self.num_timesteps, "minutes": (time.process_time() - self._begin) / 60.0,
-            "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
+            "decisions": self.num_timesteps,
+            "minutes": (time.process_time() - self._begin) / 60.0,
+            "time_to_80_s": middle if np.isfinite(middle) else None,
+            "reached_80": float(np.isfinite(times).mean()),
             "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / period)])),
             "touches": float(self._env.touches.mean()),
-        }  # fmt: skip
+        }
         with (self._folder / LOG).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
         for name, value in row.items():
@@ -225,7 +260,9 @@ def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
     half = layer.dilation[0] * (layer.kernel_size[0] // 2)
     if half == 0:
         return torch.as_tensor(layer(values))
-    return torch.as_tensor(layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2)))
+    return torch.as_tensor(
+        layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2))
+    )
 
 
 class DirectionPolicy(ActorCriticPolicy):
@@ -250,9 +287,11 @@ class DirectionPolicy(ActorCriticPolicy):
 
     def _build(self, lr_schedule: Callable[[float], float]) -> None:
         super()._build(lr_schedule)
-        # No parameters are needed between scores and logits. Small initial weights of the last layer give nearly equal
-        # probabilities.
+        # No parameters are needed between scores and logits. Small initial weights of the last
+        # layer give nearly equal probabilities.
         self.action_net = nn.Identity()
         with torch.no_grad():
             self.mlp_extractor.score.weight.mul_(_SMALL)
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        self.optimizer = self.optimizer_class(
+            self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs
+        )

@@ -1,8 +1,10 @@
 # ruff: noqa: INP001
-"""Draws ``drone.png`` from folders of replays: one row for each log, before on the left, now on the right.
+"""Draws ``drone.png`` from folders of replays: one row for each log, before on the left, now on the
+right.
 
-Run with ``python docs/images/drone.py FILTER_DEMO GRAPH_DEMO FILTER_3LOOP GRAPH_3LOOP``: folders of ``limslam replay``
-of ``olsson-demo.csv.gz`` and ``olsson-3loop.csv.gz``, with ``--preset consistent`` and without.
+Run with ``python docs/images/drone.py FILTER_DEMO GRAPH_DEMO FILTER_3LOOP GRAPH_3LOOP``: folders of
+``limslam replay`` of ``olsson-demo.csv.gz`` and ``olsson-3loop.csv.gz``, with ``--preset
+consistent`` and without.
 """
 
 import json
@@ -25,7 +27,9 @@ BEFORE, NOW = "trajectory_est.tum", "trajectory_smoothed.tum"
 
 def draw(axes: Axes, folder: Path, trajectory: str, title: str) -> None:
     """The walls and the path of a replay, turned so that most walls are level or upright."""
-    segments = np.array(json.loads((folder / "map.json").read_text(encoding="utf-8"))["segments"], dtype=float)
+    segments = np.array(
+        json.loads((folder / "map.json").read_text(encoding="utf-8"))["segments"], dtype=float
+    )
     along = segments[:, 2:] - segments[:, :2]
     angles, lengths = np.arctan2(along[:, 1], along[:, 0]), np.hypot(along[:, 0], along[:, 1])
     frame = 0.25 * np.angle((lengths * np.exp(4j * angles)).sum())
@@ -38,7 +42,9 @@ def draw(axes: Axes, folder: Path, trajectory: str, title: str) -> None:
     axes.add_collection(LineCollection(list(walls), colors=colours.tolist(), linewidths=2.0))
     set_limits(axes, walls.reshape(-1, 2))
     share = lengths[off <= WITHIN].sum() / lengths.sum()
-    axes.set_title(f"{title}: {len(segments)} walls, {share:.0%} within {WITHIN:g} deg", fontsize=10)
+    axes.set_title(
+        f"{title}: {len(segments)} walls, {share:.0%} within {WITHIN:g} deg", fontsize=10
+    )
 
 
 def set_limits(axes: Axes, places: FloatArray) -> None:
@@ -53,7 +59,11 @@ def set_limits(axes: Axes, places: FloatArray) -> None:
 def main(folders: list[str]) -> None:
     """Draw the figure."""
     figure = Figure(figsize=(9.0, 9.6), layout="constrained")
-    titles = [f"{log}, {how}" for log in ("olsson-demo", "olsson-3loop") for how in ("filter alone", "smoothed")]
+    titles = [
+        f"{log}, {how}"
+        for log in ("olsson-demo", "olsson-3loop")
+        for how in ("filter alone", "smoothed")
+    ]
     for number, (folder, title) in enumerate(zip(folders, titles, strict=True)):
         axes = figure.add_subplot(2, 2, number + 1)
         draw(axes, Path(folder), NOW if number % 2 else BEFORE, title)

@@ -1,5 +1,7 @@
 # ruff: noqa: INP001
-"""Draws ``factor_graph.png``: the graphs of both smoothers. Run with ``python docs/images/factor_graph.py``."""
+"""Draws ``factor_graph.png``: the graphs of both smoothers. Run with ``python
+docs/images/factor_graph.py``.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -17,11 +19,29 @@ MOTION, RANGE, LOOP, PRIOR = "0.15", "#009E73", "#D55E00", "#CC79A7"
 Place = tuple[float, float]
 
 
-def draw_unknown(axes: Axes, place: Place, name: str, colour: str, *, is_known: bool = False) -> None:
+def draw_unknown(
+    axes: Axes, place: Place, name: str, colour: str, *, is_known: bool = False
+) -> None:
     """A circle with a name; a double circle for a known pose."""
-    axes.plot(*place, "o", color=colour, markersize=25, markeredgecolor="white", markeredgewidth=1.5, zorder=3)
+    axes.plot(
+        *place,
+        "o",
+        color=colour,
+        markersize=25,
+        markeredgecolor="white",
+        markeredgewidth=1.5,
+        zorder=3,
+    )
     if is_known:
-        axes.plot(*place, "o", color=colour, markersize=31, fillstyle="none", markeredgewidth=1.2, zorder=3)
+        axes.plot(
+            *place,
+            "o",
+            color=colour,
+            markersize=31,
+            fillstyle="none",
+            markeredgewidth=1.2,
+            zorder=3,
+        )
     axes.text(*place, name, ha="center", va="center", color="white", fontsize=10, zorder=4)
 
 
@@ -39,7 +59,9 @@ def between(first: Place, second: Place, share: float = 0.5) -> Place:
 
 
 def draw_line_smoother(axes: Axes) -> None:
-    """All poses are a chain. The wall of the first readings is read again at the end: that is the loop."""
+    """All poses are a chain. The wall of the first readings is read again at the end: that is the
+    loop.
+    """
     poses = [(float(k), 1.0) for k in range(7)]
     lines, sizes = [(1.0, 2.4), (4.0, 2.4)], (3.0, -0.5)
     for first, second in pairwise(poses):
@@ -58,7 +80,9 @@ def draw_line_smoother(axes: Axes) -> None:
 
 
 def draw_local_maps(axes: Axes) -> None:
-    """Key poses with odometry, points of one wall along the way, walls, and matches of local maps."""
+    """Key poses with odometry, points of one wall along the way, walls, and matches of local
+    maps.
+    """
     poses = [(float(k), 1.0) for k in range(7)]
     wall, errors = (3.0, 2.0), (3.0, -0.5)
     for first, second in pairwise(poses):
@@ -71,7 +95,9 @@ def draw_local_maps(axes: Axes) -> None:
         ends = np.array([poses[first], (3.0, height), poses[second]])
         share = np.linspace(0.0, 1.0, 60)[:, None]
         top = 2.0 * ends[1] - 0.5 * (ends[0] + ends[2])
-        curve = (1.0 - share) ** 2 * ends[0] + 2.0 * share * (1.0 - share) * top + share**2 * ends[2]
+        curve = (
+            (1.0 - share) ** 2 * ends[0] + 2.0 * share * (1.0 - share) * top + share**2 * ends[2]
+        )
         axes.plot(*curve.T, color=LOOP, linewidth=1.1, alpha=0.8, zorder=0)
         axes.plot(3.0, height, "s", color=LOOP, markersize=8, zorder=2)
     draw_factor(axes, (4.3, -0.5), (errors,), PRIOR)
@@ -108,7 +134,9 @@ def main() -> None:
     for axes in (left, right):
         axes.set(xlim=(-0.5, 6.5), ylim=(-0.95, 3.75))
         axes.set_axis_off()
-    figure.legend(handles=handles(), loc="outside lower center", ncols=7, frameon=False, fontsize=10)
+    figure.legend(
+        handles=handles(), loc="outside lower center", ncols=7, frameon=False, fontsize=10
+    )
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=110, facecolor="white")
 
 

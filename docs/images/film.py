@@ -1,5 +1,7 @@
 # ruff: noqa: INP001
-"""Makes ``film.webp`` from the video of a run: ``python docs/images/film.py run.mp4`` (extra ``video``)."""
+"""Makes ``film.webp`` from the video of a run: ``python docs/images/film.py run.mp4`` (extra
+``video``).
+"""
 
 import sys
 from itertools import pairwise
@@ -12,9 +14,15 @@ from PIL import Image
 FRAMES, SECONDS = 90, 12.0
 TOP = 402  # rows of a frame that show the two pictures, without the panels below them
 WIDTH = 960
-SPEED = (slice(14, 42), slice(930, 1005))  # where a frame shows the speed of the video, which this film does not have
+SPEED = (
+    slice(14, 42),
+    slice(930, 1005),
+)  # where a frame shows the speed of the video, which this film does not have
 CHANGE = 60  # difference of a colour by which a digit differs, and not the compression of the video
-CLOCK = (slice(10, 42), slice(1180, 1280))  # where a frame shows the time, which stands still while the video is paused
+CLOCK = (
+    slice(10, 42),
+    slice(1180, 1280),
+)  # where a frame shows the time, which stands still while the video is paused
 
 
 def frames_of(video: Path) -> list[Image.Image]:
@@ -22,13 +30,17 @@ def frames_of(video: Path) -> list[Image.Image]:
     with VideoFileClip(str(video)) as clip:
         frames = [frame[:TOP] for frame in clip.iter_frames()]
     moving = [
-        frame for last, frame in pairwise(frames) if np.abs(frame[CLOCK].astype(int) - last[CLOCK]).max() > CHANGE
+        frame
+        for last, frame in pairwise(frames)
+        if np.abs(frame[CLOCK].astype(int) - last[CLOCK]).max() > CHANGE
     ] + frames[-1:]
     kept = [moving[index].copy() for index in np.linspace(0, len(moving) - 1, FRAMES).astype(int)]
     for frame in kept:
         frame[SPEED] = frame[0, 0]
     return [
-        Image.fromarray(frame).resize((WIDTH, TOP * WIDTH // frame.shape[1]), Image.Resampling.LANCZOS)
+        Image.fromarray(frame).resize(
+            (WIDTH, TOP * WIDTH // frame.shape[1]), Image.Resampling.LANCZOS
+        )
         for frame in kept
     ]
 

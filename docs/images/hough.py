@@ -1,5 +1,7 @@
 # ruff: noqa: INP001
-"""Draws ``hough.png``: a wall with its r and theta, and the Hough plane. Run with ``python docs/images/hough.py``."""
+"""Draws ``hough.png``: a wall with its r and theta, and the Hough plane. Run with ``python
+docs/images/hough.py``.
+"""
 
 from pathlib import Path
 
@@ -9,12 +11,18 @@ from matplotlib.figure import Figure
 
 ORIGIN, WALLS = "0.3", ("#c0392b", "#1f6fb4")
 # Two walls at a corner: r (m), theta (rad) and the places of their points along the wall, m.
-LINES = ((1.6, np.radians(60.0), np.linspace(-1.3, 0.6, 7)), (1.3, np.radians(150.0), np.linspace(-1.5, -0.1, 6)))
+LINES = (
+    (1.6, np.radians(60.0), np.linspace(-1.3, 0.6, 7)),
+    (1.3, np.radians(150.0), np.linspace(-1.5, -0.1, 6)),
+)
 
 
 def points_of(r: float, theta: float, along: np.ndarray) -> np.ndarray:
     """Points (k, 2) of a line, m, at places along it."""
-    normal, tangent = np.array([np.cos(theta), np.sin(theta)]), np.array([-np.sin(theta), np.cos(theta)])
+    normal, tangent = (
+        np.array([np.cos(theta), np.sin(theta)]),
+        np.array([-np.sin(theta), np.cos(theta)]),
+    )
     return r * normal + along[:, None] * tangent
 
 
@@ -33,10 +41,21 @@ def draw_lines(axes: Axes) -> None:
         axes.annotate("r", 0.7 * foot, xytext=beside, textcoords="offset points", **words)
     angle = np.linspace(0.0, LINES[0][1], 40)
     axes.plot(0.45 * np.cos(angle), 0.45 * np.sin(angle), color=WALLS[0], linewidth=1.2)
-    axes.annotate("theta", (0.45, 0.12), xytext=(4, 0), textcoords="offset points", color=WALLS[0], style="italic")
+    axes.annotate(
+        "theta",
+        (0.45, 0.12),
+        xytext=(4, 0),
+        textcoords="offset points",
+        color=WALLS[0],
+        style="italic",
+    )
     axes.plot(0.0, 0.0, "o", color=ORIGIN, markersize=5)
-    axes.annotate("origin", (0.0, 0.0), xytext=(0, -14), textcoords="offset points", ha="center", color=ORIGIN)
-    axes.set(xlabel="x, m", ylabel="y, m", ylim=(-0.4, 2.3), aspect="equal", title="Points on two walls")
+    axes.annotate(
+        "origin", (0.0, 0.0), xytext=(0, -14), textcoords="offset points", ha="center", color=ORIGIN
+    )
+    axes.set(
+        xlabel="x, m", ylabel="y, m", ylim=(-0.4, 2.3), aspect="equal", title="Points on two walls"
+    )
 
 
 def draw_plane(axes: Axes) -> None:
@@ -44,12 +63,34 @@ def draw_plane(axes: Axes) -> None:
     theta = np.linspace(0.0, np.pi, 400)
     for colour, (r, angle, along) in zip(WALLS, LINES, strict=True):
         for x, y in points_of(r, angle, along):
-            axes.plot(np.degrees(theta), x * np.cos(theta) + y * np.sin(theta), color=colour, linewidth=0.9, alpha=0.8)
-        axes.plot(np.degrees(angle), r, "o", color="black", fillstyle="none", markersize=13, markeredgewidth=1.6)
+            axes.plot(
+                np.degrees(theta),
+                x * np.cos(theta) + y * np.sin(theta),
+                color=colour,
+                linewidth=0.9,
+                alpha=0.8,
+            )
+        axes.plot(
+            np.degrees(angle),
+            r,
+            "o",
+            color="black",
+            fillstyle="none",
+            markersize=13,
+            markeredgewidth=1.6,
+        )
         words = f"r = {r:.1f} m, theta = {np.degrees(angle):.0f} degrees"
         place, arrow = (46.0 if r > 1.5 else 136.0, 2.35), {"arrowstyle": "-", "shrinkB": 8.0}
-        axes.annotate(words, (np.degrees(angle), r), place, ha="center", fontsize=9, arrowprops=arrow)
-    axes.set(xlabel="theta, degrees", ylabel="r, m", xlim=(0, 180), ylim=(-2.6, 2.6), title="The Hough plane")
+        axes.annotate(
+            words, (np.degrees(angle), r), place, ha="center", fontsize=9, arrowprops=arrow
+        )
+    axes.set(
+        xlabel="theta, degrees",
+        ylabel="r, m",
+        xlim=(0, 180),
+        ylim=(-2.6, 2.6),
+        title="The Hough plane",
+    )
     axes.set_xticks([0, 45, 90, 135, 180])
 
 

@@ -1,8 +1,9 @@
 # ruff: noqa: INP001
-"""Draws ``results.png``, ``status.png`` and ``speed.png``, and writes the table of the scoreboard into RESULTS.md.
+"""Draws ``results.png``, ``status.png`` and ``speed.png``, and writes the table of the scoreboard
+into RESULTS.md.
 
-They are made of the tables of ``benchmarks/RESULTS.md`` and of ``benchmarks/data/scoreboard.json``. Run with
-``python docs/images/results.py`` in a checkout.
+They are made of the tables of ``benchmarks/RESULTS.md`` and of ``benchmarks/data/scoreboard.json``.
+Run with ``python docs/images/results.py`` in a checkout.
 """
 
 import re
@@ -19,10 +20,13 @@ from benchmarks.scoreboard.compare import Cell
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 RESULTS, BOARD = BENCHMARKS / "RESULTS.md", BENCHMARKS / "data" / "scoreboard.json"
 RUNS, DRIVES, LOGS, SPEED = (
-    "Explorations with the default settings", "Drives with and without faults", "Logs of real robots",
+    "Explorations with the default settings",
+    "Drives with and without faults",
+    "Logs of real robots",
     "Speed of the batch",
-)  # fmt: skip
-# Columns of the table of explorations, with the colours of Okabe and Ito, which the colour-blind can tell apart.
+)
+# Columns of the table of explorations, with the colours of Okabe and Ito, which the colour-blind
+# can tell apart.
 ESTIMATES = {
     "odometry": ("0.55", "X"),
     "published method": ("#D55E00", "s"),
@@ -31,7 +35,8 @@ ESTIMATES = {
 }
 STATUSES = {"ok": ("#0072B2", "o"), "unsure": ("#E69F00", "D"), "lost": ("#D55E00", "X")}
 SPEEDS = {"two cores": ("#0072B2", "o"), "H100": ("#009E73", "s")}
-# Columns of a scoreboard that are shown: row, drives, errors of filter and smoothed path, NEES, wrong and ok, status.
+# Columns of a scoreboard that are shown: row, drives, errors of filter and smoothed path, NEES,
+# wrong and ok, status.
 SHOWN = (0, 1, 2, 4, 6, 8, 10)
 
 Row = dict[str, str]
@@ -79,12 +84,19 @@ def draw_runs(axes: Axes, rows: list[Row]) -> None:
                 markersize=6,
                 label=name if not start else None,
             )
-    axes.set(yscale="log", ylabel="error of the path, m (median)", title="Simulated: six beams of 1.5 m")
+    axes.set(
+        yscale="log", ylabel="error of the path, m (median)", title="Simulated: six beams of 1.5 m"
+    )
     axes.set_xticks(places, [row["noise"].removesuffix(" cm") for row in rows])
     axes.set_xlabel("noise of the ranges, cm", labelpad=20)
     for start in range(0, len(rows), 3):
         axes.text(
-            places[start + 1], -0.1, rows[start]["world"], ha="center", va="top", transform=axes.get_xaxis_transform()
+            places[start + 1],
+            -0.1,
+            rows[start]["world"],
+            ha="center",
+            va="top",
+            transform=axes.get_xaxis_transform(),
         )
     axes.set_yticks([0.01, 0.03, 0.1, 0.3, 1.0])
 
@@ -97,7 +109,12 @@ def draw_logs(axes: Axes, rows: list[Row]) -> None:
             error = number(row[f"{name}, m"])
             axes.plot(k, error, color=colour, marker=marker, markersize=8)
             axes.annotate(
-                f"{error:.2g} m", (k, error), va="center", fontsize=10, xytext=(9, 0), textcoords="offset points"
+                f"{error:.2g} m",
+                (k, error),
+                va="center",
+                fontsize=10,
+                xytext=(9, 0),
+                textcoords="offset points",
             )
     axes.set(
         yscale="log",
@@ -110,17 +127,30 @@ def draw_logs(axes: Axes, rows: list[Row]) -> None:
 
 
 def draw_status(by_status: Axes, by_stated: Axes, cells: Sequence[Cell]) -> None:
-    """Errors of the smoothed paths by the status at the end, and beside the error that the estimate states."""
+    """Errors of the smoothed paths by the status at the end, and beside the error that the estimate
+    states.
+    """
     for place, (status, (colour, marker)) in enumerate(STATUSES.items()):
-        found = sorted((cell for cell in cells if cell["status"] == status), key=lambda cell: cell["ate_smoothed_m"])
+        found = sorted(
+            (cell for cell in cells if cell["status"] == status),
+            key=lambda cell: cell["ate_smoothed_m"],
+        )
         errors = np.array([cell["ate_smoothed_m"] for cell in found])
         stated = errors / np.sqrt([cell.get("nees_smoothed") or np.nan for cell in found])
         # Neighbours of nearly the same error are beside each other.
         spread = place + 0.15 * np.array([-1.0, 0.0, 1.0])[np.arange(len(errors)) % 3]
-        style = {"color": colour, "marker": marker, "linestyle": "none", "markersize": 5, "alpha": 0.75}
+        style = {
+            "color": colour,
+            "marker": marker,
+            "linestyle": "none",
+            "markersize": 5,
+            "alpha": 0.75,
+        }
         by_status.plot(errors, spread, **style)
         by_stated.plot(stated, errors, label=f"{status} ({len(errors)})", **style)
-    by_status.set(xscale="log", xlabel="error of the smoothed path, m", title="Error by the status at the end")
+    by_status.set(
+        xscale="log", xlabel="error of the smoothed path, m", title="Error by the status at the end"
+    )
     by_status.set_yticks(range(len(STATUSES)), STATUSES)
     by_status.set_ylim(len(STATUSES) - 0.6, -0.4)
     low, high = 0.002, 5.0
@@ -135,7 +165,15 @@ def draw_speed(axes: Axes, rows: list[Row]) -> None:
     for name, (colour, marker) in SPEEDS.items():
         rates = np.array([number(row[f"{name}, million steps/s"]) for row in rows])
         known = np.isfinite(rates)
-        axes.plot(counts[known], rates[known], color=colour, marker=marker, linewidth=1.6, markersize=6, label=name)
+        axes.plot(
+            counts[known],
+            rates[known],
+            color=colour,
+            marker=marker,
+            linewidth=1.6,
+            markersize=6,
+            label=name,
+        )
     axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="million steps a second")
 
 
@@ -167,7 +205,9 @@ def main() -> None:
     save(figure, "results.png", 4)
 
     figure = Figure(figsize=(10.5, 4.4), layout="constrained", facecolor="white")
-    draw_status(*figure.subplots(1, 2), [cell for cell in board["cells"] if cell.get("ate_smoothed_m")])
+    draw_status(
+        *figure.subplots(1, 2), [cell for cell in board["cells"] if cell.get("ate_smoothed_m")]
+    )
     save(figure, "status.png", 4)
 
     figure = Figure(figsize=(6.4, 3.6), layout="constrained", facecolor="white")

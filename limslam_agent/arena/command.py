@@ -1,7 +1,9 @@
-"""A command as an actor: it speaks the line protocol of live robots over its standard input and output.
+"""A command as an actor: it speaks the line protocol of live robots over its standard input and
+output.
 
-The robot's side is the firmware of the emulated robots. Simulated time waits for the answer to each telemetry line. So
-a command that always gives the same answers to the same lines drives the same run, however slow the computer is.
+The robot's side is the firmware of the emulated robots. Simulated time waits for the answer to each
+telemetry line. So a command that always gives the same answers to the same lines drives the same
+run, however slow the computer is.
 """
 
 import os
@@ -20,7 +22,16 @@ from typing import IO
 import numpy as np
 
 from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
-from limslam_agent.live.protocol import LONGEST_LINE, VERSION, BadLineError, Hello, Speeds, Stop, Telemetry, decode
+from limslam_agent.live.protocol import (
+    LONGEST_LINE,
+    VERSION,
+    BadLineError,
+    Hello,
+    Speeds,
+    Stop,
+    Telemetry,
+    decode,
+)
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -38,8 +49,8 @@ _ENDING = 2.0  # s, until a process that was told to end is killed
 class CommandActor:
     """Drives one robot by a process of its own, which begins with each episode in a folder.
 
-    Of the words of the command, ``{python}`` stands for this Python. The actor is done when the process has stopped the
-    robot (``X``), which says that everything is explored.
+    Of the words of the command, ``{python}`` stands for this Python. The actor is done when the
+    process has stopped the robot (``X``), which says that everything is explored.
     """
 
     def __init__(self, words: Sequence[str], folder: Path, robot: RobotSpec) -> None:
@@ -57,7 +68,9 @@ class CommandActor:
 
     def _begin(self) -> None:
         period = round(1e3 * self._robot.control_period)
-        hello = Hello(VERSION, 1, "arena", len(self._robot.beams), NM_PER_TICK, period, _WATCHDOG_MS)
+        hello = Hello(
+            VERSION, 1, "arena", len(self._robot.beams), NM_PER_TICK, period, _WATCHDOG_MS
+        )
         self._firmware, self._step, self._travel = Firmware(hello), 0, np.zeros(2)
         self.done = False
         self.stop_reason: str | None = None
@@ -123,9 +136,12 @@ class _Process:
         try:
             # The words are those of the entry's manifest. No shell reads them.
             self._process = subprocess.Popen(  # noqa: S603
-                list(words), cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                list(words),
+                cwd=folder,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
                 stderr=self._errors,
-            )  # fmt: skip
+            )
         except OSError as error:
             self._errors.close()
             raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
@@ -134,10 +150,14 @@ class _Process:
         self._input = self._process.stdin
         # A process that writes without end has to wait, and does not answer in time.
         self._lines: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
-        threading.Thread(target=_read_lines, args=(self._process.stdout, self._lines), daemon=True).start()
+        threading.Thread(
+            target=_read_lines, args=(self._process.stdout, self._lines), daemon=True
+        ).start()
 
     def send(self, lines: Sequence[bytes]) -> None:
-        """Write lines. A process that does not read them is killed, because writing waits for it without a limit."""
+        """Write lines. A process that does not read them is killed, because writing waits for it
+        without a limit.
+        """
         is_late = threading.Event()
 
         def kill() -> None:
@@ -151,7 +171,9 @@ class _Process:
             self._input.flush()
         except OSError as error:
             if is_late.is_set():
-                raise ValueError(f"the command did not read its input within {ANSWER_WITHIN:g} s") from None
+                raise ValueError(
+                    f"the command did not read its input within {ANSWER_WITHIN:g} s"
+                ) from None
             raise self._has_ended() from error
         finally:
             timer.cancel()
@@ -179,7 +201,9 @@ class _Process:
     def _has_ended(self) -> ValueError:
         """The reason of a process that has ended too early, with the last line of its errors."""
         last = last_line(self._errors)
-        return ValueError(f"the command has ended without stopping the robot{': ' if last else ''}{last}")
+        return ValueError(
+            f"the command has ended without stopping the robot{': ' if last else ''}{last}"
+        )
 
     def end(self) -> None:
         """Close the input of the process, which ends it. A process that goes on is killed."""
@@ -202,13 +226,17 @@ def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]") -> None:
 
 
 def last_line(errors: IO[bytes]) -> str:
-    """The last line that a process has written to a file of errors. Of a long file only the end is read."""
+    """The last line that a process has written to a file of errors. Of a long file only the end is
+    read.
+    """
     errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
     return errors.read(_LAST_BYTES).decode(errors="replace").strip().rpartition("\n")[2]
 
 
 def without_folders(text: str, folders: Iterable[Path]) -> str:
-    """A message without the folders of its paths, so that the same failure has the same message in every run."""
+    """A message without the folders of its paths, so that the same failure has the same message in
+    every run.
+    """
     names = {str(each) for folder in folders for each in (folder, folder.resolve())}
     for name in sorted(names, key=len, reverse=True):
         text = re.sub(rf"{re.escape(name)}(?![\w-])", ".", text.replace(name + os.sep, ""))

@@ -15,7 +15,9 @@ MANIFEST = "entry.toml"
 KINDS = ("shipped", "python", "command")
 USES = ("belief", "readings")
 MOST_ROBOTS = 2
-_NOT_IN_DIGEST = "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
+_NOT_IN_DIGEST = (
+    "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
+)
 _LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
 
 
@@ -35,7 +37,10 @@ class Manifest:
 
     def __post_init__(self) -> None:
         if not self.name.strip() or len(self.name) > _LONGEST_NAME or not self.name.isprintable():
-            raise ValueError(f"name: an entry has a name of 1 to {_LONGEST_NAME} characters, not {self.name[:80]!r}")
+            raise ValueError(
+                f"name: an entry has a name of 1 to {_LONGEST_NAME} characters, not "
+                f"{self.name[:80]!r}"
+            )
         if not self.authors:
             raise ValueError('authors: an entry has authors: authors = ["A. Person"]')
         _check_choice("kind", self.kind, KINDS)
@@ -43,7 +48,9 @@ class Manifest:
         _check_choice("preset", self.preset, tuple(PRESETS))
         if not 1 <= self.robots <= MOST_ROBOTS:
             raise ValueError(f"robots: must be 1 to {MOST_ROBOTS}, not {self.robots}")
-        if (self.kind == "command") != bool(self.command) or (self.kind == "command") == bool(self.run):
+        if (self.kind == "command") != bool(self.command) or (self.kind == "command") == bool(
+            self.run
+        ):
             raise ValueError("a command has the key command, and every other kind has the key run")
         self._check_run()
         if self.uses == "belief" and self.kind == "command":
@@ -65,7 +72,9 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry that can be run. The digest is that of the manifest and of all other files of the folder."""
+    """An entry that can be run. The digest is that of the manifest and of all other files of the
+    folder.
+    """
 
     folder: Path
     manifest: Manifest
@@ -74,7 +83,11 @@ class Entry:
     @property
     def run(self) -> str:
         """What is run: a name, or the path of a file in the folder."""
-        return str(self.folder / self.manifest.run) if self.manifest.kind == "python" else self.manifest.run
+        return (
+            str(self.folder / self.manifest.run)
+            if self.manifest.kind == "python"
+            else self.manifest.run
+        )
 
 
 def read_entry(folder: Path) -> Entry:
@@ -83,8 +96,8 @@ def read_entry(folder: Path) -> Entry:
     Raises
     ------
     ValueError
-        If the folder has no manifest, the manifest cannot be used, or a file that it names is missing or not part of
-        the digest.
+        If the folder has no manifest, the manifest cannot be used, or a file that it names is
+        missing or not part of the digest.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: there is no such folder: an entry is a folder with {MANIFEST}")
@@ -112,10 +125,15 @@ def _digest(folder: Path) -> str:
     found = [path for path in folder.rglob("*") if _counts(path.relative_to(folder))]
     for path in found:
         if path.is_symlink() and path.is_dir():
-            raise ValueError(f"{path}: is a link to a folder, whose files are not part of the entry's digest")
+            raise ValueError(
+                f"{path}: is a link to a folder, whose files are not part of the entry's digest"
+            )
     files = sorted(path for path in found if path.is_file())
     if len(files) > _MOST_FILES or sum(path.stat().st_size for path in files) > _MOST_BYTES:
-        raise ValueError(f"{folder}: an entry has at most {_MOST_FILES} files of {_MOST_BYTES / 1e6:g} MB together")
+        raise ValueError(
+            f"{folder}: an entry has at most {_MOST_FILES} files of {_MOST_BYTES / 1e6:g} MB "
+            "together"
+        )
     digest = hashlib.sha256()
     for path in files:
         content = path.read_bytes()
@@ -129,4 +147,7 @@ def _counts(path: Path) -> bool:
 
 def manifest_table(manifest: Manifest) -> dict[str, object]:
     """A manifest as a table that JSON holds."""
-    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(manifest).items()}
+    return {
+        name: list(value) if isinstance(value, tuple) else value
+        for name, value in asdict(manifest).items()
+    }

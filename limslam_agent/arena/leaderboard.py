@@ -19,17 +19,21 @@ SCORE = "plan_time_to_95_s"
 _DIGITS = 9  # scores that differ by rounding only are equal
 
 _FIGURES: dict[str, Any] = {
-    "ate_final_m": np.median, "wall_f1_5cm": np.median, "anees_final": np.median, "correct_coverage": np.mean,
-    "touches": np.mean, "plan_time_to_80_s": np.mean,
-}  # fmt: skip
+    "ate_final_m": np.median,
+    "wall_f1_5cm": np.median,
+    "anees_final": np.median,
+    "correct_coverage": np.mean,
+    "touches": np.mean,
+    "plan_time_to_80_s": np.mean,
+}
 
 
 @dataclass(frozen=True)
 class Standing:
     """The place of an entry, from 1, which entries with equal scores share.
 
-    The score is the mean of the ``values`` (n,) in the plans, of which a row without a score has the worst one.
-    ``figures`` are further means and medians by their names.
+    The score is the mean of the ``values`` (n,) in the plans, of which a row without a score has
+    the worst one. ``figures`` are further means and medians by their names.
     """
 
     folder: Path
@@ -53,14 +57,18 @@ class Standing:
     @property
     def claimed(self) -> int:
         """Number of plans that were lost by a wrong claim to be done."""
-        return sum(bool(row.metrics.get("claims_done")) and bool(row.metrics.get("lost")) for row in self.rows)
+        return sum(
+            bool(row.metrics.get("claims_done")) and bool(row.metrics.get("lost"))
+            for row in self.rows
+        )
 
 
 @dataclass(frozen=True)
 class Comparison:
     """Two entries: the mean score of the second minus that of the first.
 
-    The p-value is that of a signed-rank test, corrected for the number of pairs; None if all values are equal.
+    The p-value is that of a signed-rank test, corrected for the number of pairs; None if all values
+    are equal.
     """
 
     first: str
@@ -105,11 +113,16 @@ def board(folders: Sequence[Path]) -> Board:
     totals = {folder: round(float(each.mean()), _DIGITS) for folder, each in values.items()}
     standings = [
         Standing(
-            folder, each, rows, 1 + sum(total < totals[folder] for total in totals.values()), values[folder],
-            _mean(values[folder]), _figures(rows),
+            folder,
+            each,
+            rows,
+            1 + sum(total < totals[folder] for total in totals.values()),
+            values[folder],
+            _mean(values[folder]),
+            _figures(rows),
         )
         for folder, each, rows in sorted(scored, key=lambda entry: totals[entry[0]])
-    ]  # fmt: skip
+    ]
     return Board(stamp.is_secret, plans, standings, _comparisons(standings))
 
 
@@ -129,7 +142,9 @@ def _values(rows: Sequence[Row]) -> FloatArray:
 
 
 def _figures(rows: Sequence[Row]) -> dict[str, float | None]:
-    known: dict[str, Any] = {name: [each for each in _numbers(rows, name) if each is not None] for name in _FIGURES}
+    known: dict[str, Any] = {
+        name: [each for each in _numbers(rows, name) if each is not None] for name in _FIGURES
+    }
     found = {name: float(of(known[name])) if known[name] else None for name, of in _FIGURES.items()}
     return {**found, "cpu_s": float(np.mean([row.cost.get("cpu_s", 0.0) for row in rows]))}
 

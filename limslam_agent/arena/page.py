@@ -17,16 +17,28 @@ INSPECTOR = "inspect.html"
 """The page that ``limslam inspect`` writes into the folder of a run."""
 
 _SHOWN = (
-    "time_to_80_s", "plan_time_to_95_s", "correct_coverage", "ate_final_m", "wall_f1_5cm", "anees_final", "touches",
-)  # fmt: skip
+    "time_to_80_s",
+    "plan_time_to_95_s",
+    "correct_coverage",
+    "ate_final_m",
+    "wall_f1_5cm",
+    "anees_final",
+    "touches",
+)
 """Metrics of a plan that the page shows."""
 
 # The columns of the text: heading, and name and decimals of a figure, or what is counted.
 _COLUMNS = {
-    "95 % after, s": ("score", 1), "80 %, s": ("plan_time_to_80_s", 1), "solved": ("solved", 0),
-    "false claims": ("claimed", 0), "ATE, m": ("ate_final_m", 3), "F1 5 cm": ("wall_f1_5cm", 3),
-    "NEES/3": ("anees_final", 2), "touches": ("touches", 2), "CPU, s": ("cpu_s", 1),
-}  # fmt: skip
+    "95 % after, s": ("score", 1),
+    "80 %, s": ("plan_time_to_80_s", 1),
+    "solved": ("solved", 0),
+    "false claims": ("claimed", 0),
+    "ATE, m": ("ate_final_m", 3),
+    "F1 5 cm": ("wall_f1_5cm", 3),
+    "NEES/3": ("anees_final", 2),
+    "touches": ("touches", 2),
+    "CPU, s": ("cpu_s", 1),
+}
 
 
 def table_rows(found: Board) -> list[tuple[str, ...]]:
@@ -43,12 +55,18 @@ def _cell(standing: Standing, name: str, decimals: int) -> str:
         return f"{standing.solved}/{len(standing.rows)}"
     if name == "claimed":
         return str(standing.claimed)
-    return standing.score.text(decimals) if name == "score" else number(standing.figures[name], decimals)
+    return (
+        standing.score.text(decimals)
+        if name == "score"
+        else number(standing.figures[name], decimals)
+    )
 
 
 def write_board(path: Path, found: Board) -> int:
     """Write the page, which appears only when it is complete. Returns its size in bytes."""
-    told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace("<", "\\u003c")
+    told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace(
+        "<", "\\u003c"
+    )
     own = {"TITLE": "LimSLAM arena", "SCRIPT": _part("board.js"), "DATA": told}
     parts = parts_of_pages(_part("board.css")) | own
     content = filled(_part("board.html"), parts).encode()
@@ -64,38 +82,58 @@ def _part(name: str) -> str:
 def _content(found: Board, place: Path) -> dict[str, Any]:
     """What the program of the page shows. Its links are relative to the folder ``place``."""
     return {
-        "secret": found.is_secret, "plans": found.plans, "longest": MAX_TIME, "shown": _SHOWN,
+        "secret": found.is_secret,
+        "plans": found.plans,
+        "longest": MAX_TIME,
+        "shown": _SHOWN,
         "entries": [_entry(each, place) for each in found.standings],
         "comparisons": [
             {
-                "first": each.first, "second": each.second, "difference": vars(each.difference), "p": each.p_value,
+                "first": each.first,
+                "second": each.second,
+                "difference": vars(each.difference),
+                "p": each.p_value,
                 "plans": each.difference.count,
             }
             for each in found.comparisons
         ],
-    }  # fmt: skip
+    }
 
 
 def _entry(standing: Standing, place: Path) -> dict[str, Any]:
     stamp, manifest = standing.stamp, standing.stamp.entry
     return {
-        **{name: manifest.get(name, "") for name in ("name", "authors", "kind", "uses", "about", "preset")},
-        "place": standing.place, "score": vars(standing.score), "solved": standing.solved, "claimed": standing.claimed,
-        "failed": sum(row.error is not None for row in standing.rows), "figures": standing.figures,
-        "commit": stamp.commit, "version": stamp.versions.get("limslam", ""), "digest": stamp.digest[:12],
+        **{
+            name: manifest.get(name, "")
+            for name in ("name", "authors", "kind", "uses", "about", "preset")
+        },
+        "place": standing.place,
+        "score": vars(standing.score),
+        "solved": standing.solved,
+        "claimed": standing.claimed,
+        "failed": sum(row.error is not None for row in standing.rows),
+        "figures": standing.figures,
+        "commit": stamp.commit,
+        "version": stamp.versions.get("limslam", ""),
+        "digest": stamp.digest[:12],
         "values": standing.values.tolist(),
         "rows": [_row(row, standing.folder, place) for row in standing.rows],
-    }  # fmt: skip
+    }
 
 
 def _row(row: Row, folder: Path, place: Path) -> dict[str, Any]:
     run = folder / RUNS / f"{row.plan:03d}"
     inspector = run / INSPECTOR
     return {
-        "plan": row.plan, "world": row.setting.get("world", ""), "noise": row.setting.get("noise"),
-        "robots": row.setting.get("robots"), "fault": row.setting.get("fault", ""),
+        "plan": row.plan,
+        "world": row.setting.get("world", ""),
+        "noise": row.setting.get("noise"),
+        "robots": row.setting.get("robots"),
+        "fault": row.setting.get("fault", ""),
         "lost": row.metrics.get("lost") or "",
         **{name: row.metrics.get(name) for name in _SHOWN},
-        "link": Path(os.path.relpath(inspector.absolute(), place)).as_posix() if inspector.is_file() else "",
+        "link": Path(os.path.relpath(inspector.absolute(), place)).as_posix()
+        if inspector.is_file()
+        else "",
         "folder": str(run) if run.is_dir() else "",
-    }  # fmt: skip
+    }

@@ -1,4 +1,6 @@
-"""The results of an entry in a folder: ``arena.json`` says whose, and ``results.jsonl`` has one line for each plan."""
+"""The results of an entry in a folder: ``arena.json`` says whose, and ``results.jsonl`` has one
+line for each plan.
+"""
 
 import hashlib
 import json
@@ -20,9 +22,9 @@ STAMP, RUNS = "arena.json", "runs"
 class Row:
     """The result of a plan, which is ``setting`` as a table.
 
-    Metrics have the names of ``docs/metrics.md`` and ``docs/arena.md``. Time and memory, which are the cost, differ
-    from run to run. ``settings`` is a digest of plan and entry. ``error`` says why the entry failed, which has lost the
-    plan.
+    Metrics have the names of ``docs/metrics.md`` and ``docs/arena.md``. Time and memory, which are
+    the cost, differ from run to run. ``settings`` is a digest of plan and entry. ``error`` says why
+    the entry failed, which has lost the plan.
     """
 
     plan: int
@@ -37,10 +39,11 @@ class Row:
 
 @dataclass(frozen=True)
 class Stamp(store.BaseStamp):
-    """What all results of a folder have in common: the version of the arena, the entry, and the plans.
+    """What all results of a folder have in common: the version of the arena, the entry, and the
+    plans.
 
-    ``entry`` is its manifest, ``folder`` its folder, and ``digest`` that of its files. The digest ``plans`` says
-    whether two folders have the same plans, and nothing about a secret seed.
+    ``entry`` is its manifest, ``folder`` its folder, and ``digest`` that of its files. The digest
+    ``plans`` says whether two folders have the same plans, and nothing about a secret seed.
     """
 
     arena: int
@@ -58,7 +61,10 @@ class Stamp(store.BaseStamp):
     @property
     def identity(self) -> Mapping[str, Hashable]:
         """What must be equal for results to go on."""
-        return {"other plans": self.plans, "another entry, or of this one before it was changed": self.digest}
+        return {
+            "other plans": self.plans,
+            "another entry, or of this one before it was changed": self.digest,
+        }
 
 
 FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row.plan)
@@ -67,9 +73,15 @@ FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row
 def stamp_of(entry: Entry, seed: int, *, versions: dict[str, str], commit: str) -> Stamp:
     """The stamp of an entry's results on the plans of a seed."""
     return Stamp(
-        versions, commit, VERSION, manifest_table(entry.manifest), str(entry.folder), entry.digest,
-        plans_digest(seed), seed != PUBLIC_SEED,
-    )  # fmt: skip
+        versions,
+        commit,
+        VERSION,
+        manifest_table(entry.manifest),
+        str(entry.folder),
+        entry.digest,
+        plans_digest(seed),
+        seed != PUBLIC_SEED,
+    )
 
 
 def plans_digest(seed: int) -> str:
@@ -83,7 +95,9 @@ def digest_of(content: Any) -> str:
 
 
 def read_results(folder: Path) -> tuple[Stamp, dict[int, Row]]:
-    """The stamp of a folder of results, and its rows by the numbers of their plans, in their order."""
+    """The stamp of a folder of results, and its rows by the numbers of their plans, in their
+    order.
+    """
     stamp = store.read_stamp(FORMAT, folder)
     rows = store.rows_once(FORMAT, store.read_rows(FORMAT, folder))
     if not rows:

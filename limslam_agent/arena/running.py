@@ -1,4 +1,5 @@
-"""Runs an entry on plans, in several processes, and stores each result as soon as its plan has ended.
+"""Runs an entry on plans, in several processes, and stores each result as soon as its plan has
+ended.
 
 The entry drives, the arena's mapper draws the map, and both are scored.
 """
@@ -69,8 +70,9 @@ def run_entry(
 ) -> list[Row]:
     """Run the plans that have no row in a folder yet. Returns all rows of these plans.
 
-    The folder may contain earlier results of the same entry. ``seed`` is that of the plans, ``jobs`` is the number of
-    processes, and ``keep`` writes the folders of runs. ``report`` is called with each new row.
+    The folder may contain earlier results of the same entry. ``seed`` is that of the plans,
+    ``jobs`` is the number of processes, and ``keep`` writes the folders of runs. ``report`` is
+    called with each new row.
 
     Raises
     ------
@@ -79,12 +81,22 @@ def run_entry(
     """
     place, inside = folder.absolute(), entry.folder.resolve()
     if folder.resolve() == inside or inside in folder.resolve().parents:
-        raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
+        raise ValueError(
+            f"{folder}: lies in the folder of the entry, which must not change while it runs"
+        )
     stamp = stamp_of(entry, seed, versions=versions(), commit=commit())
     again = {plan.number for plan in plans} if retry_failed else set()
-    with open_store(FORMAT, folder, stamp, lambda row: row.error is None or row.plan not in again) as store:
+    with open_store(
+        FORMAT, folder, stamp, lambda row: row.error is None or row.plan not in again
+    ) as store:
         todo = [
-            Job(entry, plan, stamp.versions, stamp.commit, keep and partial(keep, place / RUNS / f"{plan.number:03d}"))
+            Job(
+                entry,
+                plan,
+                stamp.versions,
+                stamp.commit,
+                keep and partial(keep, place / RUNS / f"{plan.number:03d}"),
+            )
             for plan in plans
             if plan.number not in store.rows
         ]
@@ -109,12 +121,15 @@ def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
 
 
 def run_job(job: Job) -> Row:
-    """Run a plan. Whatever the entry's code raises becomes the error of the row, and the plan is lost."""
+    """Run a plan. Whatever the entry's code raises becomes the error of the row, and the plan is
+    lost.
+    """
     plan, manifest = job.plan, job.entry.manifest
     provenance: dict[str, Any] = {
-        "versions": job.versions, "commit": job.commit,
+        "versions": job.versions,
+        "commit": job.commit,
         "settings": digest_of({"plan": plan.setting, "entry": job.entry.digest}),
-    }  # fmt: skip
+    }
     begin, cpu, error = time.perf_counter(), _cpu_s(), None
     cost: dict[str, float] = {}
     try:
@@ -126,7 +141,11 @@ def run_job(job: Job) -> Row:
     except (Exception, SystemExit) as failure:
         if isinstance(failure, SystemExit) and failure.code == _TERMINATED:
             raise
-        error = f"{failure}" if isinstance(failure, ValueError) else f"{type(failure).__name__}: {failure}"
+        error = (
+            f"{failure}"
+            if isinstance(failure, ValueError)
+            else f"{type(failure).__name__}: {failure}"
+        )
         error = one_line(without_folders(error, (job.entry.folder,)))
         metrics = lost_scores(plan, f"failed: {error}")
     cost = {**cost, "cpu_s": _cpu_s() - cpu, "wall_clock_s": time.perf_counter() - begin}
@@ -134,7 +153,9 @@ def run_job(job: Job) -> Row:
 
 
 def _cpu_s() -> float:
-    """Processor time of this process and of its children that have ended, s. Windows tells nothing of children."""
+    """Processor time of this process and of its children that have ended, s. Windows tells nothing
+    of children.
+    """
     if sys.platform == "win32":
         return time.process_time()
     import resource
@@ -151,20 +172,30 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
     entry, plan, last = job.entry, job.plan, dict[str, LimSlamParallelEnv]()
     is_named = not entry.manifest.is_process
     config = RunConfig(
-        plan.world, plan.noise, entry.manifest.preset, plan.seed, plan.max_time, robots=plan.robots,
-        policy=entry.run if is_named else "frontier", true_noise=plan.true_noise,
+        plan.world,
+        plan.noise,
+        entry.manifest.preset,
+        plan.seed,
+        plan.max_time,
+        robots=plan.robots,
+        policy=entry.run if is_named else "frontier",
+        true_noise=plan.true_noise,
         driver="" if is_named else f"command {entry.manifest.name}",
-    )  # fmt: skip
+    )
     policies = _policies(entry, config)
     try:
-        episode = run_episode(config, lambda _team, env, _time, _share: last.update(env=env), policies=policies)
+        episode = run_episode(
+            config, lambda _team, env, _time, _share: last.update(env=env), policies=policies
+        )
     finally:
         for policy in policies or ():
             if isinstance(policy, ActorPolicy):
                 policy.close()
     metrics = (job.keep or score)(episode)
     correct = correct_coverage(episode.coverage_grid, last["env"].seen, episode.final_map.grid)
-    mine = exploration_scores(plan, episode.time, episode.coverage, correct, is_finished=episode.is_finished)
+    mine = exploration_scores(
+        plan, episode.time, episode.coverage, correct, is_finished=episode.is_finished
+    )
     best = metrics.get("ate_smoothed_m", metrics["ate_m"])
     nees = metrics.get("anees_smoothed", metrics["anees"])
     final = {"ate_final_m": best, "anees_final": nees, "touches": metrics["collisions"]}
@@ -177,8 +208,13 @@ def _policies(entry: Entry, config: RunConfig) -> list[Policy] | None:
     if manifest.kind == "shipped":
         return None
     if manifest.is_process:
-        return [ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot)) for _ in range(config.robots)]
-    made = made_by_file(entry.run, config.robot, config.agent.policy, robots=config.robots, seed=config.seed)
+        return [
+            ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot))
+            for _ in range(config.robots)
+        ]
+    made = made_by_file(
+        entry.run, config.robot, config.agent.policy, robots=config.robots, seed=config.seed
+    )
     with naming_lines_of(entry.run):
         return [_policy(each, manifest.uses) for each in made]
 
@@ -187,6 +223,8 @@ def _policy(made: Any, uses: str) -> Policy:
     """What a Python class makes as a policy, if it uses what the manifest says."""
     found = "belief" if is_policy(made) else "readings"
     if found != uses:
-        raise ValueError(f"{type(made).__name__} acts on {found}, and the manifest says that it uses {uses}")
+        raise ValueError(
+            f"{type(made).__name__} acts on {found}, and the manifest says that it uses {uses}"
+        )
     policy: Policy = made if found == "belief" else ActorPolicy(made)
     return policy

@@ -1,12 +1,13 @@
 """Scores of a plan, and the rule that decides whether an entry has lost it.
 
-**Correct coverage** is the share of the coverable cells (0.10 m, those that some beam could see from a place that the
-robot can reach) that count as explored. A cell counts if a true beam has crossed it, and if the final map calls the
-floor free there: the centre of a free cell of the map lies within 0.10 m of the cell's centre in the true frame. So
-neither a wrong map nor a map of what was never seen raises it.
+**Correct coverage** is the share of the coverable cells (0.10 m, those that some beam could see
+from a place that the robot can reach) that count as explored. A cell counts if a true beam has
+crossed it, and if the final map calls the floor free there: the centre of a free cell of the map
+lies within 0.10 m of the cell's centre in the true frame. So neither a wrong map nor a map of what
+was never seen raises it.
 
-**A plan is lost** if the correct coverage is below 95 % at the end of the run: when the entry says that it is done, or
-when the time is over. The time of a lost plan is the longest time of the plan.
+**A plan is lost** if the correct coverage is below 95 % at the end of the run: when the entry says
+that it is done, or when the time is over. The time of a lost plan is the longest time of the plan.
 """
 
 from typing import Any
@@ -29,7 +30,9 @@ _TIMES = (80, 95)
 
 
 def correct_coverage(covered: CoverageGrid, seen: BoolArray, grid: GridView) -> float:
-    """The correct coverage, 0 to 1, of cells that were truly ``seen`` (rows, columns) by the grid of the final map."""
+    """The correct coverage, 0 to 1, of cells that were truly ``seen`` (rows, columns) by the grid
+    of the final map.
+    """
     rows, columns = np.nonzero(covered.coverable)
     if not len(rows):
         return 0.0
@@ -47,8 +50,8 @@ def exploration_scores(
 ) -> dict[str, Any]:
     """Scores of an exploration that only the arena has.
 
-    They are made from times (t,), s, true coverage (t,), 0 to 1, and the correct coverage at the end. ``is_finished``
-    says whether the entry itself has said that it is done.
+    They are made from times (t,), s, true coverage (t,), 0 to 1, and the correct coverage at the
+    end. ``is_finished`` says whether the entry itself has said that it is done.
     """
     times = {f"time_to_{share}_s": _first(time, coverage >= share / 100.0) for share in _TIMES}
     return {
@@ -75,9 +78,11 @@ def loss(correct: float, *, is_finished: bool) -> str:
 def lost_scores(plan: Plan, reason: str) -> dict[str, Any]:
     """Scores of a plan that an entry has lost without a run."""
     return {
-        "lost": reason, "correct_coverage": 0.0, "claims_done": False,
+        "lost": reason,
+        "correct_coverage": 0.0,
+        "claims_done": False,
         **{f"plan_time_to_{share}_s": plan.max_time for share in _TIMES},
-    }  # fmt: skip
+    }
 
 
 def _first(time: FloatArray, reached: BoolArray) -> float | None:

@@ -29,12 +29,14 @@ _WHEELS, _DROPOUT, _LEAST_SHARP_NOISE = 0.02, 0.1, 0.02
 
 @dataclass(frozen=True)
 class Plan:
-    """One task: its place in the list, from 0, a floor plan by its seed and size, and the conditions.
+    """One task: its place in the list, from 0, a floor plan by its seed and size, and the
+    conditions.
 
-    The entry is told the standard deviation of the ranges, ``noise``, m. It is not told the fault: ``none``, ``wheels``
-    (the left encoder reports too much by the share ``wheel_mismatch``, and the right one too little), ``sharp``
-    (triangulating infrared sensors) or ``dropout`` (beams that see nothing now and then). ``seed`` is that of starts
-    and noise, and ``max_time`` the longest simulated time, s.
+    The entry is told the standard deviation of the ranges, ``noise``, m. It is not told the fault:
+    ``none``, ``wheels`` (the left encoder reports too much by the share ``wheel_mismatch``, and the
+    right one too little), ``sharp`` (triangulating infrared sensors) or ``dropout`` (beams that see
+    nothing now and then). ``seed`` is that of starts and noise, and ``max_time`` the longest
+    simulated time, s.
     """
 
     number: int
@@ -74,10 +76,15 @@ def plans_of(seed: int = PUBLIC_SEED) -> list[Plan]:
     signs, seeds = generator.choice((-1.0, 1.0), COUNT), generator.integers(0, 10**6, COUNT)
     return [
         Plan(
-            number, f"random:{worlds[number]}:{sides[number, 0]:g}x{sides[number, 1]:g}",
-            max(noises[number], _LEAST_SHARP_NOISE) if faults[number] == "sharp" else noises[number], robots[number],
-            faults[number], float(signs[number]) * _WHEELS if faults[number] == "wheels" else 0.0,
+            number,
+            f"random:{worlds[number]}:{sides[number, 0]:g}x{sides[number, 1]:g}",
+            max(noises[number], _LEAST_SHARP_NOISE)
+            if faults[number] == "sharp"
+            else noises[number],
+            robots[number],
+            faults[number],
+            float(signs[number]) * _WHEELS if faults[number] == "wheels" else 0.0,
             int(seeds[number]),
         )
         for number in range(COUNT)
-    ]  # fmt: skip
+    ]

@@ -13,22 +13,27 @@ from limslam_agent.measurements.store import BaseStamp, read_stamp
 from limslam_agent.output.provenance import commit, versions
 
 BOUNDS = {
-    "plan_time_to_80_s": 30.0, "plan_time_to_95_s": 30.0, "correct_coverage": 0.05, "ate_final_m": 0.05,
+    "plan_time_to_80_s": 30.0,
+    "plan_time_to_95_s": 30.0,
+    "correct_coverage": 0.05,
+    "ate_final_m": 0.05,
     "wall_f1_5cm": 0.1,
-}  # fmt: skip
-"""Largest differences of an entry that runs in a process of its own, whose answers may depend on time. Metrics of all
-other entries are equal to the bit.
+}
+"""Largest differences of an entry that runs in a process of its own, whose answers may depend on
+time. Metrics of all other entries are equal to the bit.
 """
 
 
-def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[Entry, Stamp, list[Plan]]:
+def opened(
+    folder: Path, entry_folder: Path | None, seed: int | None
+) -> tuple[Entry, Stamp, list[Plan]]:
     """The entry, the stamp and the plans of a folder of results.
 
     Raises
     ------
     ValueError
-        If the entry is not the one of the results, the plans are not those of the seed, or the stamp says something
-        about them that is not true.
+        If the entry is not the one of the results, the plans are not those of the seed, or the
+        stamp says something about them that is not true.
     """
     stamp = read_stamp(FORMAT, folder)
     if stamp.is_secret and seed is None:
@@ -51,7 +56,8 @@ def verify(
 ) -> Iterator[tuple[int, list[str]]]:
     """Run ``count`` rows again, spread evenly over a folder of results; all if it is None.
 
-    Yields number and differences of each plan. ``plans`` are all plans, and ``jobs`` is the number of processes.
+    Yields number and differences of each plan. ``plans`` are all plans, and ``jobs`` is the number
+    of processes.
 
     Raises
     ------
@@ -69,11 +75,16 @@ def verify(
 
 
 def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
-    """What differs between two rows of a plan, in words. Cost, provenance and newer metrics are not compared."""
+    """What differs between two rows of a plan, in words. Cost, provenance and newer metrics are not
+    compared.
+    """
     if before.error != now.error:
         return [f"error: {before.error}, now {now.error}"]
     bounds = BOUNDS if is_process else {}
-    values = {name: (before.metrics.get(name), now.metrics.get(name)) for name in bounds or sorted(before.metrics)}
+    values = {
+        name: (before.metrics.get(name), now.metrics.get(name))
+        for name in bounds or sorted(before.metrics)
+    }
     return [
         f"{name} {first}, now {second}"
         for name, (first, second) in values.items()

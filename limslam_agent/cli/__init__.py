@@ -1,1 +1,3 @@
-"""The command line ``limslam``. What a user can correct is a ValueError of one line in every function."""
+"""The command line ``limslam``. What a user can correct is a ValueError of one line in every
+function.
+"""

@@ -15,12 +15,17 @@ if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board
     from limslam_agent.runs.record import Episode
 
-arena = typer.Typer(name="arena", no_args_is_help=True, help="A benchmark that anybody can enter: run, verify, page.")
+arena = typer.Typer(
+    name="arena",
+    no_args_is_help=True,
+    help="A benchmark that anybody can enter: run, verify, page.",
+)
 
 _Secret = Annotated[
     bool,
     typer.Option(
-        "--secret-seed", help="Read the seed of plans that nobody has seen from standard input, for judging: a pipe."
+        "--secret-seed",
+        help="Read the seed of plans that nobody has seen from standard input, for judging.",
     ),
 ]
 _LONGEST_SEED = 1001  # characters, with the end of the line
@@ -30,26 +35,38 @@ _Jobs = Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")]
 def _read_seed() -> int:
     """The secret seed from standard input, which is closed then.
 
-    An entry runs as the same user, and can read the command lines and environments of the processes above it.
+    An entry runs as the same user, and can read the command lines and environments of the processes
+    above it.
     """
     text = getpass("secret seed: ") if sys.stdin.isatty() else sys.stdin.readline(_LONGEST_SEED)
     with open(os.devnull, "rb") as nothing, suppress(OSError):  # noqa: PTH123 (a device)
         os.dup2(nothing.fileno(), sys.stdin.fileno())
     if not text.strip().isdecimal():
-        raise ValueError("--secret-seed reads a whole number of 0 or more from standard input, of 1000 digits at most")
+        raise ValueError(
+            "--secret-seed reads a whole number of 0 or more from standard input, of 1000 digits "
+            "at most"
+        )
     return int(text)
 
 
 @arena.command()
 def run(
     entry: Annotated[Path, typer.Argument(help="Folder of the entry, with entry.toml.")],
-    out: Annotated[Path, typer.Option(help="Folder for the results. Results that are there are kept.")],
-    plans: Annotated[int, typer.Option(min=1, max=100, help="How many plans are run, from the first on.")] = 100,
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results. Results that are there are kept.")
+    ],
+    plans: Annotated[
+        int, typer.Option(min=1, max=100, help="How many plans are run, from the first on.")
+    ] = 100,
     jobs: _Jobs = 2,
     *,
     secret_seed: _Secret = False,
-    keep: Annotated[bool, typer.Option("--keep", help="Keep the folder of each run, for limslam inspect.")] = False,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run plans again that failed.")] = False,
+    keep: Annotated[
+        bool, typer.Option("--keep", help="Keep the folder of each run, for limslam inspect.")
+    ] = False,
+    retry_failed: Annotated[
+        bool, typer.Option("--retry-failed", help="Run plans again that failed.")
+    ] = False,
 ) -> None:
     """Run an entry on the plans. A run that was stopped goes on where it was."""
     from limslam_agent.arena.entry import read_entry
@@ -62,10 +79,17 @@ def run(
     wanted = plans_of(seed)[:plans]
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
-            found, wanted, out, seed=seed, jobs=jobs,
-            keep=write_kept_run if keep else None, retry_failed=retry_failed,
-            report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
-        )  # fmt: skip
+            found,
+            wanted,
+            out,
+            seed=seed,
+            jobs=jobs,
+            keep=write_kept_run if keep else None,
+            retry_failed=retry_failed,
+            report=lambda row, done: advance(
+                done, f"{done} of {len(wanted)} plans, latest {row.plan}"
+            ),
+        )
     warn(f"plan {row.plan} failed: {row.error}" for row in rows if row.error is not None)
     _print_board(board([out]))
     say(f"results     {out}")
@@ -75,10 +99,14 @@ def run(
 def verify(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results.")],
     plans: Annotated[
-        int | None, typer.Option(min=1, help="How many plans are run again, spread evenly.", show_default="all")
+        int | None,
+        typer.Option(
+            min=1, help="How many plans are run again, spread evenly.", show_default="all"
+        ),
     ] = None,
     entry: Annotated[
-        Path | None, typer.Option(help="Folder of the entry.", show_default="where it was when it ran")
+        Path | None,
+        typer.Option(help="Folder of the entry.", show_default="where it was when it ran"),
     ] = None,
     jobs: _Jobs = 2,
     *,
@@ -135,9 +163,15 @@ def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
         metrics: dict[str, Any] = write_episode(new.beside, episode)["metrics"]
         if not config.driver:
             options = RunOptions(
-                str(config.world), config.noise, config.preset, config.seed, config.max_time, config.policy,
-                until="seen", robots=config.robots,
-            )  # fmt: skip
+                str(config.world),
+                config.noise,
+                config.preset,
+                config.seed,
+                config.max_time,
+                config.policy,
+                until="seen",
+                robots=config.robots,
+            )
             write_run_settings(new.beside, options, config)
     return metrics
 

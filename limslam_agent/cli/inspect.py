@@ -18,10 +18,14 @@ if TYPE_CHECKING:
 def inspect(
     source: Annotated[
         Path,
-        typer.Argument(metavar="RUN_OR_LOG", help="The folder of a finished run, replay or live session, or a log."),
+        typer.Argument(
+            metavar="RUN_OR_LOG",
+            help="The folder of a finished run, replay or live session, or a log.",
+        ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="Write this file (.html).", show_default="RUN/inspect.html or LOG.html")
+        Path | None,
+        typer.Option(help="Write this file (.html).", show_default="RUN/inspect.html or LOG.html"),
     ] = None,
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
@@ -32,7 +36,9 @@ def inspect(
     from limslam_agent.output.finished_run import read_run
 
     run = read_run(source) if source.is_dir() or not source.exists() else None
-    target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / "inspect.html")
+    target = out or (
+        Path(f"{source.name.split('.')[0]}.html") if run is None else source / "inspect.html"
+    )
     check_target(target, "a page", (".html", ".htm"), force=force)
     title = source.name if run is None else run.title
     found = _of_log(source) if run is None else _of_folder(run)
@@ -48,13 +54,17 @@ def _of_folder(run: "FinishedRun") -> "Inspection":
 
     settings = run.folder / FILE
     if not settings.is_file():
-        raise ValueError(f"{run.folder}: there is no {FILE}, without which the run cannot be repeated")
+        raise ValueError(
+            f"{run.folder}: there is no {FILE}, without which the run cannot be repeated"
+        )
     given = Given.read(settings, {})
     if run.is_replay:
         return _of_replay(given, run)
     config = run_config(given, run_options(given))
     with progress_bar("inspecting", len(run.time)) as advance:
-        return inspect_run(config, run, lambda done: advance(done, f"{done} of {len(run.time)} steps"))
+        return inspect_run(
+            config, run, lambda done: advance(done, f"{done} of {len(run.time)} steps")
+        )
 
 
 def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
@@ -65,13 +75,19 @@ def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
     if options.log is None:
         raise ValueError(f"{given.path}: names no log")
     if options.other_log is not None:
-        raise ValueError(f"{given.path}: is of two logs; inspect one of them: limslam inspect {options.log}")
+        raise ValueError(
+            f"{given.path}: is of two logs; inspect one of them: limslam inspect {options.log}"
+        )
     job = job_of(options.log, options, replay_agent(given, options), given.replay_robot())
     prior_map, count = None if options.map is None else read_saved_map(options.map), len(job.log)
     with progress_bar("inspecting", count) as advance:
         return inspect_log(
-            job.log, job.config, lambda done: advance(done, f"{done} of {count} events"), run, prior_map
-        )  # fmt: skip
+            job.log,
+            job.config,
+            lambda done: advance(done, f"{done} of {count} events"),
+            run,
+            prior_map,
+        )
 
 
 def _of_log(path: Path) -> "Inspection":

@@ -22,17 +22,28 @@ if TYPE_CHECKING:
 
 @takes(LiveOptions)
 def live(
-    robot: take.LiveRobot = None, config: take.Config = None, ros_arguments: take.RosArguments = None, **told: Any
+    robot: take.LiveRobot = None,
+    config: take.Config = None,
+    ros_arguments: take.RosArguments = None,
+    **told: Any,
 ) -> None:
-    """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
+    """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what
+    it has seen.
+    """
     from limslam_agent.runs.policies import check_belief_policy
 
     given = Given.read(config, {**told, "robot": robot})
     options = given.merged(LiveOptions(), ("agent", "robot"))
-    ways = {"--serial": options.serial is not None, "--udp": options.udp is not None, "--ros2": options.ros2}
+    ways = {
+        "--serial": options.serial is not None,
+        "--udp": options.udp is not None,
+        "--ros2": options.ros2,
+    }
     places = [name for name, is_given in ways.items() if is_given]
     if not places:
-        raise ValueError("either --serial PORT, --udp PORT or --ros2 is needed, the place where the robot is")
+        raise ValueError(
+            "either --serial PORT, --udp PORT or --ros2 is needed, the place where the robot is"
+        )
     if len(places) > 1:
         named = f"{', '.join(places[:-1])} and {places[-1]}"
         raise ValueError(f"{named} are different places: the robot is at one of them only")
@@ -73,7 +84,9 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
                 with naming_lines_of(options.policy):
                     reason = session.drive(options.max_time, options.patience)
             if not len(recording):
-                raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")
+                raise NoRobotError(
+                    f"the robot {hello.name} has said hello, but has sent no telemetry that fits it"
+                )
             typer.echo("smoothing   and writing the map", err=True)
             result = write_session(folder.beside, session, f"live {hello.name}", reason)
             write_live_settings(folder.beside, options, config)
@@ -81,7 +94,9 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
 
 
 @contextmanager
-def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: Sequence[str]) -> "Iterator[Wired]":
+def _wired(
+    options: LiveOptions, described: "RobotSpec | None", ros_arguments: Sequence[str]
+) -> "Iterator[Wired]":
     """The connection that the options name."""
     if options.ros2:
         from limslam_agent.live.ros2.wiring import wired_by_ros
@@ -94,7 +109,9 @@ def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: S
     from limslam_agent.live.transports import SerialTransport, UdpTransport
 
     port = options.serial
-    with closing(UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)) as transport:
+    with closing(
+        UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)
+    ) as transport:
         place = f"at {port or f'UDP port {options.udp}'}"
         yield Wired(Link(transport), place, lambda hello: _robot_of(hello, described))
 
@@ -104,16 +121,25 @@ def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
     from limslam_env.robots import ROBOTS
 
     if described is None and hello.name not in ROBOTS:
-        raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
+        raise ValueError(
+            f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot"
+        )
     robot = described or robot_named(hello.name)
     if len(robot.beams) != hello.beams:
-        raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
+        raise ValueError(
+            f"the robot {hello.name} has {hello.beams} beams, but its description has "
+            f"{len(robot.beams)}"
+        )
     return robot
 
 
 @contextmanager
-def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_if_due: Any) -> "Iterator[Any]":
-    """The progress bar of a session, and its page in a browser; yields what is called after each decision."""
+def _display(
+    options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_if_due: Any
+) -> "Iterator[Any]":
+    """The progress bar of a session, and its page in a browser; yields what is called after each
+    decision.
+    """
     from limslam_agent.inspect.live_page import Follower, live_page
 
     with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
@@ -129,7 +155,10 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_i
             newest = session.recording.newest
             seconds = 0.0 if newest is None else newest.time
             walls = f"{len(agent.slam.segments)} walls"
-            advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost")
+            advance(
+                seconds,
+                f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost",
+            )
             if follower is not None:
                 follower.note(agent.mapper, [agent.policy], seconds)
 
@@ -140,5 +169,8 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_i
 
 def _warn_about(hello: "Hello") -> None:
     if hello.watchdog_ms < 2 * hello.period_ms:
-        words = f"the robot's watchdog of {hello.watchdog_ms} ms is shorter than two periods of {hello.period_ms} ms"
+        words = (
+            f"the robot's watchdog of {hello.watchdog_ms} ms is shorter than two periods of "
+            f"{hello.period_ms} ms"
+        )
         warn([f"{words}: one lost line stops the wheels"])

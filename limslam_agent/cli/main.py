@@ -55,14 +55,19 @@ def _show_version(wanted: bool) -> None:
 @app.callback()
 def _limslam(
     _version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
     ] = False,
 ) -> None:
     """Exploration and SLAM with almost no sensing."""
 
 
 @app.command()
-def play(world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1") -> None:
+def play(
+    world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
+) -> None:
     """Drive a robot with the keyboard, in a window."""
     from gymnasium.error import Error
 
@@ -72,20 +77,26 @@ def play(world: Annotated[str, typer.Option(help="Name of a shipped world, or a 
         drive = drive_by_keyboard(world)
     except Error as error:  # no pygame, or no display
         raise ValueError(str(error)) from error
-    typer.echo(f"drove for   {drive.time:.1f} s and covered {drive.coverage:.1%} of what can be seen")
+    typer.echo(
+        f"drove for   {drive.time:.1f} s and covered {drive.coverage:.1%} of what can be seen"
+    )
 
 
 def main() -> None:
-    """Entry point. An error that the user can correct gives exit code 2 and one line, not a traceback."""
+    """Entry point. An error that the user can correct gives exit code 2 and one line, not a
+    traceback.
+    """
     _use_one_thread()
     collect_rarely()
-    # A termination runs the clean-up code as any other end does, so that no half-written folder is left.
+    # A termination runs the clean-up code as any other end does, so that no half-written folder is
+    # left.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     run_command(app, "limslam", numbers=True)
 
 
 def _use_one_thread() -> None:
-    """Compute linear algebra in one thread, unless the user has set a number; other processes inherit it.
+    """Compute linear algebra in one thread, unless the user has set a number; other processes
+    inherit it.
 
     The matrices are small, and threads that wait for each other cost more time than they save.
     """
@@ -96,8 +107,8 @@ def _use_one_thread() -> None:
 def collect_rarely() -> None:
     """Let Python search for unused objects that refer to each other less often.
 
-    A search goes through all objects of numba and numpy, takes 50 ms, and finds next to nothing. All other objects are
-    freed when nothing refers to them any more.
+    A search goes through all objects of numba and numpy, takes 50 ms, and finds next to nothing.
+    All other objects are freed when nothing refers to them any more.
     """
     gc.set_threshold(50_000)
 

@@ -1,8 +1,9 @@
-"""The options of ``limslam run``, ``replay`` and ``live``: each is a field of a dataclass, which says all about it.
+"""The options of ``limslam run``, ``replay`` and ``live``: each is a field of a dataclass, which
+says all about it.
 
-A field with `told` is an option of the command line and a setting of the file of ``--config``. A field without it is a
-setting of the file alone, or follows from an argument. An option that is not given is None, so that the file can set
-it. Help shows the default of the field.
+A field with `told` is an option of the command line and a setting of the file of ``--config``. A
+field without it is a setting of the file alone, or follows from an argument. An option that is not
+given is None, so that the file can set it. Help shows the default of the field.
 """
 
 import functools
@@ -34,8 +35,8 @@ _POLICIES = (
 def told(panel: str, words: str, shown: str | bool = True, *names: str) -> Any:
     """What the command line says about an option: its panel in the help, and the help.
 
-    ``shown`` is the default in words, where it is not that of the field; False shows none. ``names`` are those of an
-    option that does not have the name of the field.
+    ``shown`` is the default in words, where it is not that of the field; False shows none.
+    ``names`` are those of an option that does not have the name of the field.
     """
     return typer.Option(*names, help=words, rich_help_panel=panel, show_default=shown)
 
@@ -47,7 +48,8 @@ _Preset = Annotated[
     str,
     told(
         _AGENT,
-        "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
+        "Settings of the agent: consistent, paper (the published method), odometry (no "
+        "corrections), "
         "or graph (consistent, and a recorded log is smoothed at its end).",
     ),
 ]
@@ -55,43 +57,66 @@ _Until = Annotated[
     str,
     told(
         _AGENT,
-        "When the policies frontier and frontier_fast are done: seen (no frontier is left) or walls (the robot has "
+        "When the policies frontier and frontier_fast are done: seen (no frontier is left) or "
+        "walls (the robot has "
         "also looked at every place where free ground ends and the map has no wall).",
     ),
 ]
 _Map = Annotated[
-    Path | None, told(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known.")
+    Path | None,
+    told(
+        _AGENT,
+        "Folder of an earlier run or replay: begin in its map, at a place that is not known.",
+    ),
 ]
 _Watch = Annotated[
     bool,
-    told(_RESULTS, "Show what the robot believes in a browser while it drives, as limslam inspect does afterwards."),
+    told(
+        _RESULTS,
+        "Show what the robot believes in a browser while it drives, as limslam inspect does "
+        "afterwards.",
+    ),
 ]
 _Out = Annotated[Path | None, told(_RESULTS, "Folder for the results.", "runs/...")]
 _Force = Annotated[bool, told(_RESULTS, "Replace the results of an earlier run in that folder.")]
 
 Config = Annotated[
-    Path | None, told(_RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file.")
+    Path | None,
+    told(
+        _RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file."
+    ),
 ]
-"""Given beside the fields of the dataclasses, as all options below: they name a file, or a table of it."""
+"""Given beside the fields of the dataclasses, as all options below: they name a file, or a table of
+it.
+"""
 Robot = Annotated[str | None, told(_WORLD, f"Robot: {_ROBOTS}", "paper")]
 RecordingRobot = Annotated[str | None, told(_TABLE, f"Robot that recorded a table: {_ROBOTS}")]
 LiveRobot = Annotated[
-    str | None, told(_CONNECTION, f"Robot: {_ROBOTS} --ros2 needs it.", "what the robot calls itself")
+    str | None,
+    told(_CONNECTION, f"Robot: {_ROBOTS} --ros2 needs it.", "what the robot calls itself"),
 ]
 TrueOdometryNoise = Annotated[
     float | None,
     told(
-        _FAULTS, "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.", "0.0045"
+        _FAULTS,
+        "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.",
+        "0.0045",
     ),
 ]
 WheelMismatch = Annotated[
-    float | None, told(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0")
+    float | None,
+    told(
+        _FAULTS,
+        "Share by which the left encoder reports too much, and the right one too little.",
+        "0",
+    ),
 ]
 Sharp = Annotated[
     bool,
     told(
         _FAULTS,
-        "Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, fold-back and a cone.",
+        "Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, "
+        "fold-back and a cone.",
         True,
         "--sharp",
     ),
@@ -99,7 +124,10 @@ Sharp = Annotated[
 Log = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run. Two logs are joined if they fit.",
+        help=(
+            "A CARMEN log, a table (.csv), a ROS bag, or the log.npz of a run. Two logs are "
+            "joined if they fit."
+        ),
         show_default=False,
     ),
 ]
@@ -107,12 +135,16 @@ RelationsFile = Annotated[
     list[Path] | None,
     told(
         _SCORE,
-        "File of known relative poses to score the trajectory with. Of two logs: once for both, or once for each.",
+        "File of known relative poses to score the trajectory with. Of two logs: once for both, "
+        "or once for each.",
     ),
 ]
 RosArguments = Annotated[
     list[str] | None,
-    typer.Argument(help="Arguments for ROS 2, after --: -- --ros-args -p NAME:=VALUE -r FROM:=TO.", show_default=False),
+    typer.Argument(
+        help="Arguments for ROS 2, after --: -- --ros-args -p NAME:=VALUE -r FROM:=TO.",
+        show_default=False,
+    ),
 ]
 
 
@@ -124,46 +156,63 @@ class RunOptions(Bounded):
         str,
         told(
             _WORLD,
-            "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor plan, or a world file.",
+            "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor "
+            "plan, or a world file.",
         ),
     ] = "env1"
-    noise: Annotated[_Std, told(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.")] = (
-        0.02
-    )
+    noise: Annotated[
+        _Std, told(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.")
+    ] = 0.02
     preset: _Preset = DEFAULT_PRESET
     seed: Annotated[CountOrNone, told(_WORLD, "Random seed.")] = 0
     max_time: Annotated[
         _Time,
         told(
             _WORLD,
-            "Longest simulated time, s. Without it, a world has 10 s for each square metre, and at least the default.",
+            "Longest simulated time, s. Without it, a world has 10 s for each square metre, and "
+            "at least the default.",
         ),
     ] = 1800.0
-    policy: Annotated[str, told(_AGENT, f"{_POLICIES} tour drives around the world's loop by the true pose.")] = (
-        "frontier"
-    )
+    policy: Annotated[
+        str, told(_AGENT, f"{_POLICIES} tour drives around the world's loop by the true pose.")
+    ] = "frontier"
     until: _Until = "walls"
-    laps: Annotated[CountOrNone, told(_AGENT, "Drive this many laps of the world's loop instead of exploring.")] = 0
-    robots: Annotated[int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")] = 1
+    laps: Annotated[
+        CountOrNone, told(_AGENT, "Drive this many laps of the world's loop instead of exploring.")
+    ] = 0
+    robots: Annotated[
+        int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")
+    ] = 1
     ablation: Annotated[
         str | None,
         told(
             _AGENT,
-            "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, only-best-line or none. "
+            "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, "
+            "only-best-line or none. "
             "All go with the preset paper, and no-loop-closing with every preset.",
             "none",
         ),
     ] = None
     kidnap_at: Annotated[
         float | None,
-        told(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
+        told(
+            _FAULTS,
+            "Time at which the robot is carried to another place, s. The seed chooses the place.",
+        ),
     ] = None
     unknown_starts: Annotated[
-        bool, told(_AGENT, "Whether the second of two robots starts at a place that the agent does not know.", "no")
+        bool,
+        told(
+            _AGENT,
+            "Whether the second of two robots starts at a place that the agent does not know.",
+            "no",
+        ),
     ] = False
     map: _Map = None
     limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
-    video: Annotated[Path | None, told(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")] = None
+    video: Annotated[
+        Path | None, told(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")
+    ] = None
     watch: _Watch = False
     out: _Out = None
     force: _Force = False
@@ -175,26 +224,44 @@ class ReplayOptions(Bounded):
 
     log: Path | None = None
     other_log: Path | None = None
-    beams: Annotated[str | None, told(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")] = (
-        None
-    )
-    max_range: Annotated[float | None, told(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")] = None
-    metres_per_tick: Annotated[float, told(_TABLE, "Wheel travel for each 1 in left and right, m.")] = 1.0
+    beams: Annotated[
+        str | None,
+        told(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few"),
+    ] = None
+    max_range: Annotated[
+        float | None, told(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")
+    ] = None
+    metres_per_tick: Annotated[
+        float, told(_TABLE, "Wheel travel for each 1 in left and right, m.")
+    ] = 1.0
     accumulated: Annotated[
-        bool, told(_TABLE, "The columns left and right count from the start, not from the row before.")
+        bool,
+        told(_TABLE, "The columns left and right count from the start, not from the row before."),
     ] = False
     range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
     time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
     zone_axes: Annotated[
-        str | None, told(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.")
+        str | None,
+        told(
+            _TABLE,
+            "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.",
+        ),
     ] = None
     zero_is_nothing: Annotated[
         bool,
-        told(_TABLE, "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading."),
+        told(
+            _TABLE,
+            "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no "
+            "reading.",
+        ),
     ] = False
     columns: Annotated[
         str | None,
-        told(_TABLE, "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used."),
+        told(
+            _TABLE,
+            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one "
+            "not used.",
+        ),
     ] = None
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
@@ -203,7 +270,8 @@ class ReplayOptions(Bounded):
         str | None,
         told(
             _ODOMETRY,
-            "Three standard deviations: of the distance after 1 m (m), of the heading after 1 m (deg), "
+            "Three standard deviations: of the distance after 1 m (m), of the heading after 1 m "
+            "(deg), "
             "and of the heading after a turn of 1 rad (deg).",
             "0.05,0.8,4",
         ),
@@ -211,12 +279,21 @@ class ReplayOptions(Bounded):
     odometry_bias: Annotated[
         str | None,
         told(
-            _ODOMETRY, "True minus reported heading after 1 m (deg), and true distance over reported distance.", "0,1"
+            _ODOMETRY,
+            "True minus reported heading after 1 m (deg), and true distance over reported "
+            "distance.",
+            "0,1",
         ),
     ] = None
-    calibrate: Annotated[Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")] = None
+    calibrate: Annotated[
+        Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")
+    ] = None
     topics: Annotated[
-        str | None, told(_LOG, "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry.")
+        str | None,
+        told(
+            _LOG,
+            "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry.",
+        ),
     ] = None
     relations: Path | None = None
     other_relations: Path | None = None
@@ -226,18 +303,26 @@ class ReplayOptions(Bounded):
 
 @dataclass(frozen=True)
 class LiveOptions(Bounded):
-    """The options of ``limslam live``, and ``baud``, bits per second of the serial port, which a file may set."""
+    """The options of ``limslam live``, and ``baud``, bits per second of the serial port, which a
+    file may set.
+    """
 
-    serial: Annotated[str | None, told(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")] = None
+    serial: Annotated[
+        str | None, told(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")
+    ] = None
     baud: Annotated[int, Bounds(300, 10**7)] = 115200
     udp: Annotated[int | None, told(_CONNECTION, "UDP port on which to wait for the robot.")] = None
-    ros2: Annotated[bool, told(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.")] = (
-        False
-    )
+    ros2: Annotated[
+        bool, told(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.")
+    ] = False
     patience: Annotated[
-        float, Bounds(0.1, 3600.0), told(_CONNECTION, "How long to wait for a robot that is silent, s.")
+        float,
+        Bounds(0.1, 3600.0),
+        told(_CONNECTION, "How long to wait for a robot that is silent, s."),
     ] = 10.0
-    max_time: Annotated[_Time, told(_CONNECTION, "Longest time of the session by the robot's clock, s.")] = 1800.0
+    max_time: Annotated[
+        _Time, told(_CONNECTION, "Longest time of the session by the robot's clock, s.")
+    ] = 1800.0
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
     policy: Annotated[str, told(_AGENT, _POLICIES)] = "frontier"
@@ -251,13 +336,19 @@ Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
 
 
 def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a function a command that has the options of a dataclass, and then those of its own named arguments.
+    """Make a function a command that has the options of a dataclass, and then those of its own
+    named arguments.
 
-    The function gets the options of the dataclass as keyword arguments, None for those that were not given.
+    The function gets the options of the dataclass as keyword arguments, None for those that were
+    not given.
     """
 
     def decorated(function: Callable[..., None]) -> Callable[..., None]:
-        own = [each for each in inspect.signature(function).parameters.values() if each.kind is not each.VAR_KEYWORD]
+        own = [
+            each
+            for each in inspect.signature(function).parameters.values()
+            if each.kind is not each.VAR_KEYWORD
+        ]
 
         @functools.wraps(function)
         def command(**arguments: Any) -> None:
@@ -275,14 +366,18 @@ def _declared(kind: type[Any]) -> list[inspect.Parameter]:
     """The arguments of a function that typer makes the options of a dataclass of."""
     hints, found = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
     for field in fields(kind):
-        plain, *extras = get_args(hints[field.name]) if hasattr(hints[field.name], "__metadata__") else (None,)
+        plain, *extras = (
+            get_args(hints[field.name]) if hasattr(hints[field.name], "__metadata__") else (None,)
+        )
         said = next((each for each in extras if isinstance(each, OptionInfo)), None)
         if said is None:
             continue
         option = copy(said)
         if option.show_default is True:
             is_shown = field.default is not None and field.default is not False
-            option.show_default = f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
+            option.show_default = (
+                f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
+            )
             option.show_default = option.show_default if is_shown else False
         if isinstance(option.default, str):  # where typer keeps the first name of an option
             option.param_decls = (option.default,)
@@ -290,5 +385,7 @@ def _declared(kind: type[Any]) -> list[inspect.Parameter]:
             option.param_decls = (f"--{field.name.replace('_', '-')}",)
         option.default = None
         kind_of_argument = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        found.append(inspect.Parameter(field.name, kind_of_argument, default=option, annotation=plain | None))
+        found.append(
+            inspect.Parameter(field.name, kind_of_argument, default=option, annotation=plain | None)
+        )
     return found

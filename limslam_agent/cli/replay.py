@@ -1,4 +1,6 @@
-"""``limslam replay``: a map from a recorded log, or from two logs of one building, and its folder."""
+"""``limslam replay``: a map from a recorded log, or from two logs of one building, and its
+folder.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -48,16 +50,20 @@ def replay(
 def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | None]:
     """One or two paths by the names of their options."""
     if paths and len(paths) > 2:
-        raise ValueError(f"{shown}: {len(paths)} were given; one log is replayed, or two logs are joined")
+        raise ValueError(
+            f"{shown}: {len(paths)} were given; one log is replayed, or two logs are joined"
+        )
     first, second = [*(paths or []), None, None][:2]
     return {name: first, f"other_{name}": second}
 
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A log with all that is known about it; None stands for what is not known or was not asked for.
+    """A log with all that is known about it; None stands for what is not known or was not asked
+    for.
 
-    The agent's settings have the estimated bias of the odometry. ``source`` has names of files, for ``result.json``.
+    The agent's settings have the estimated bias of the odometry. ``source`` has names of files, for
+    ``result.json``.
     """
 
     log: "RecordedLog"
@@ -68,7 +74,9 @@ class Job:
 
 
 def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
-    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table."""
+    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a
+    table.
+    """
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
@@ -77,18 +85,28 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
         raise ValueError("a log is needed: limslam replay LOG")
     job = job_of(options.log, options, agent, robot)
     warn(log_warnings(job.log))
-    with _folder(options, f"{_stem(options.log)}-{options.preset}", len(job.log)) as (folder, advance, report):
+    with _folder(options, f"{_stem(options.log)}-{options.preset}", len(job.log)) as (
+        folder,
+        advance,
+        report,
+    ):
         prior_map = None if options.map is None else read_saved_map(options.map)
         result = replay_log(job.log, job.config, advance, report, prior_map)
         scores = _scores_of(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
         content = write_replay(folder.beside, result, job.source, {**scores, **figures})
         write_replay_settings(folder.beside, options, agent, robot)
-    calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
+    calibrated = [
+        f"calibrated  {found.words}"
+        for found in (job.calibration, result.self_calibration)
+        if found
+    ]
     _tell(content, calibrated, folder.target, map_warnings(result))
 
 
-def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
+def _carry_out_both(
+    options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None"
+) -> None:
     """Replay two logs, join them if they fit, write their folder, and print its summary."""
     from limslam_agent.replay.plausibility import log_warnings
     from limslam_agent.two_logs.joining import check_logs, replay_logs
@@ -99,9 +117,13 @@ def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
             raise ValueError(f"--{name} is for one log, not for two")
     if options.log is None or options.other_log is None:
         raise ValueError("two logs are needed: limslam replay LOG LOG")
-    paths, files = (options.log, options.other_log), (options.relations, options.other_relations or options.relations)
+    paths, files = (
+        (options.log, options.other_log),
+        (options.relations, options.other_relations or options.relations),
+    )
     jobs = [
-        job_of(path, replace(options, relations=file), agent, robot) for path, file in zip(paths, files, strict=True)
+        job_of(path, replace(options, relations=file), agent, robot)
+        for path, file in zip(paths, files, strict=True)
     ]
     logs = [job.log for job in jobs]
     check_logs(logs, agent)
@@ -124,7 +146,9 @@ def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
 def _folder(
     options: ReplayOptions, name: str, events: int
 ) -> "Iterator[tuple[NewFolder, Callable[[int], None], Callable[[str], None]]]":
-    """The folder of the results, and what shows the number of events that are done and the stage of the smoothing."""
+    """The folder of the results, and what shows the number of events that are done and the stage of
+    the smoothing.
+    """
     from limslam_agent.output.run_folder import new_folder
 
     target = options.out or Path("runs") / f"replay-{name}"
@@ -139,7 +163,9 @@ def _folder(
         )
 
 
-def _tell(content: dict[str, Any], calibrated: list[str], target: Path, warnings: list[str]) -> None:
+def _tell(
+    content: dict[str, Any], calibrated: list[str], target: Path, warnings: list[str]
+) -> None:
     """Print what ``result.json`` says, and where it is."""
     from limslam_agent.output.summary import record_summary, replay_summary
 
@@ -152,7 +178,9 @@ def _stem(path: Path) -> str:
     return path.name.split(".")[0]
 
 
-def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
+def job_of(
+    log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None"
+) -> Job:
     """Read a log and all that is known about it."""
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
@@ -162,7 +190,9 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     if options.calibrate and options.odometry_bias:
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
     if options.calibrate and options.calibrate == options.relations:
-        raise ValueError("--calibrate and --relations name one file: relations that calibrate do not score")
+        raise ValueError(
+            "--calibrate and --relations name one file: relations that calibrate do not score"
+        )
     known = read_relations(options.relations) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     table = _table_options(options, robot)
@@ -170,10 +200,15 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), table)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
-    if known is not None and options.other_log is None and (share := float(known.within(recorded.time).mean())) < 0.5:
+    if (
+        known is not None
+        and options.other_log is None
+        and (share := float(known.within(recorded.time).mean())) < 0.5
+    ):
         count = f"only {share:.0%}" if share else "none"
         raise ValueError(
-            f"{options.relations}: {count} of its relations lie in the log's time: are they of another log?"
+            f"{options.relations}: {count} of its relations lie in the log's time: are they of "
+            "another log?"
         )
     calibration = None
     if options.calibrate is not None:
@@ -190,19 +225,31 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
     from limslam_agent.replay.options import numbers
 
     axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
-    columns = () if options.columns is None else tuple(name.strip().lower() for name in options.columns.split(","))
-    ticks, units = (options.metres_per_tick, options.accumulated), (options.range_unit, options.time_unit)
+    columns = (
+        ()
+        if options.columns is None
+        else tuple(name.strip().lower() for name in options.columns.split(","))
+    )
+    ticks, units = (
+        (options.metres_per_tick, options.accumulated),
+        (options.range_unit, options.time_unit),
+    )
     return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:
     """Refuse options that do not fit the log."""
     if options.noise > (reach := float(recorded.robot.max_ranges.max())):
-        raise ValueError(f"--noise {options.noise:g} m is more than the longest range of {reach:g} m: is it in metres?")
+        raise ValueError(
+            f"--noise {options.noise:g} m is more than the longest range of {reach:g} m: is it in "
+            "metres?"
+        )
     if options.map is not None and recorded.wheels is None:
         raise ValueError(f"{log}: has odometry poses; --map is for logs of wheel travel")
     if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):
-        raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
+        raise ValueError(
+            f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses"
+        )
 
 
 def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
@@ -212,9 +259,13 @@ def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, 
 
     scores: dict[str, Any] = {}
     if job.log.true_pose is not None:
-        scores |= trajectory_scores(job.log.true_pose, result.estimated, result.odometry, result.covariances)
+        scores |= trajectory_scores(
+            job.log.true_pose, result.estimated, result.odometry, result.covariances
+        )
         if result.smoothed is not None:
-            scores |= path_scores(job.log.true_pose, result.smoothed.poses, result.smoothed.covariances)
+            scores |= path_scores(
+                job.log.true_pose, result.smoothed.poses, result.smoothed.covariances
+            )
     if job.relations is not None:
         scores |= relation_scores(result, job.relations)
         if not scores["relations"] and relations is not None:
@@ -222,7 +273,9 @@ def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, 
     return scores
 
 
-def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Relations | None]") -> dict[str, Any]:
+def _scores_of_both(
+    joint: "JointReplay", relations: "tuple[Relations | None, Relations | None]"
+) -> dict[str, Any]:
     """Metrics of both logs together. Relations that both logs share may lie between the logs."""
     from limslam_agent.runs.results import mean_scores
     from limslam_agent.two_logs.output import relation_scores

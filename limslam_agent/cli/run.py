@@ -77,7 +77,9 @@ def _folder_name(config: "RunConfig") -> str:
 
 
 def _shown_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
-    """Run, and show the run in a film and in a browser where that was asked for. Both show the same recording."""
+    """Run, and show the run in a film and in a browser where that was asked for. Both show the same
+    recording.
+    """
     from limslam_agent.inspect.live_page import Follower, live_page
     from limslam_agent.runs.episode import run_episode
     from limslam_agent.runs.recording import filming
@@ -95,10 +97,15 @@ def _shown_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "E
         if film is not None or page is not None:
             follower = Follower(page, steps)
 
-        def show(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
+        def show(
+            team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float
+        ) -> None:
             if round(time / config.robot.control_period) % _SHOWN == 0:
                 # An exploration is over when all is seen, and laps have no such end.
-                advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
+                advance(
+                    time if config.laps else coverage,
+                    f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}",
+                )
             if follower is not None:
                 recorder = follower.note(team.mapper, team.policies, time, env.true_poses)
                 if film is not None:

@@ -24,49 +24,72 @@ class ScoreOptions:
     """What is scored, and with what: the options of ``limslam score``."""
 
     estimated: Annotated[
-        Path | None, told(_ESTIMATE, "Estimated trajectory (TUM: t x y z qx qy qz qw).", True, "--est")
+        Path | None,
+        told(_ESTIMATE, "Estimated trajectory (TUM: t x y z qx qy qz qw).", True, "--est"),
     ] = None
     true: Annotated[Path | None, told(_TRUTH, "True trajectory (TUM), of other times too.")] = None
-    relations: Annotated[Path | None, told(_TRUTH, "Known relative poses instead of a true trajectory.")] = None
+    relations: Annotated[
+        Path | None, told(_TRUTH, "Known relative poses instead of a true trajectory.")
+    ] = None
     covariances: Annotated[
         Path | None,
         told(
-            _ESTIMATE, "Covariances of the estimated poses: lines t xx xy xh yy yh hh, or covariance_est.npz of a run."
+            _ESTIMATE,
+            "Covariances of the estimated poses: lines t xx xy xh yy yh hh, or covariance_est.npz "
+            "of a run.",
         ),
     ] = None
     align: Annotated[
         str,
         told(
             _ESTIMATE,
-            "How the frame of the estimate is moved first: none, start (equal first poses) or path (all poses).",
+            "How the frame of the estimate is moved first: none, start (equal first poses) or "
+            "path (all poses).",
         ),
     ] = "none"
-    max_difference: Annotated[float, told(_ESTIMATE, "Most that the times of two poses may differ, s.")] = 0.01
+    max_difference: Annotated[
+        float, told(_ESTIMATE, "Most that the times of two poses may differ, s.")
+    ] = 0.01
     walls: Annotated[Path | None, told(_MAP, "Estimated walls: a map.json.", True, "--map")] = None
-    world: Annotated[str | None, told(_MAP, "The true walls: a world file or a world's name.")] = None
+    world: Annotated[str | None, told(_MAP, "The true walls: a world file or a world's name.")] = (
+        None
+    )
     robot: Annotated[str, told(_MAP, "Robot that drove, which decides what can be seen.")] = "paper"
 
     def __post_init__(self) -> None:
         if self.align not in ALIGNMENTS:
             raise ValueError(f"--align: {', '.join(ALIGNMENTS)} can be chosen, not {self.align!r}")
         if not 0.0 <= self.max_difference < math.inf:
-            raise ValueError(f"--max-difference: must be at least 0 s and finite, not {self.max_difference:g}")
+            raise ValueError(
+                f"--max-difference: must be at least 0 s and finite, not {self.max_difference:g}"
+            )
         if self.estimated is None and self.walls is None:
-            raise ValueError("something to score is needed: --est FILE.tum, or --map map.json with --world")
+            raise ValueError(
+                "something to score is needed: --est FILE.tum, or --map map.json with --world"
+            )
         if (self.walls is None) != (self.world is None):
-            raise ValueError("--map and --world go together: a map is scored against the walls of a world")
+            raise ValueError(
+                "--map and --world go together: a map is scored against the walls of a world"
+            )
         if self.estimated is not None and self.true is None and self.relations is None:
-            raise ValueError(f"{self.estimated}: needs something to compare with: --true FILE.tum, or --relations FILE")
+            raise ValueError(
+                f"{self.estimated}: needs something to compare with: --true FILE.tum, or "
+                "--relations FILE"
+            )
         needs = {"--true": self.true, "--relations": self.relations}
         if self.estimated is None and any(needs.values()):
-            raise ValueError(f"{next(name for name, file in needs.items() if file)} needs --est FILE.tum")
+            raise ValueError(
+                f"{next(name for name, file in needs.items() if file)} needs --est FILE.tum"
+            )
         if self.true is None and (self.covariances is not None or self.align != "none"):
             raise ValueError("--covariances and --align need --est and --true")
 
 
 @takes(ScoreOptions)
 def score(
-    out: Annotated[Path | None, typer.Option(help="Also write the metrics into this file (.json).")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Also write the metrics into this file (.json).")
+    ] = None,
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     **told: Any,
@@ -101,13 +124,19 @@ def _scores(options: ScoreOptions, robot: "RobotSpec") -> dict[str, float | int 
     scores: dict[str, float | int | None] = {}
     pairs, motion = None, np.zeros(3)
     if options.estimated is not None and options.true is not None:
-        pairs = read_pairs(options.true, options.estimated, options.covariances, options.max_difference)
+        pairs = read_pairs(
+            options.true, options.estimated, options.covariances, options.max_difference
+        )
         motion = pairs.alignment(options.align)
         scores |= trajectory_scores(pairs.moved(motion))
     if options.estimated is not None and options.relations is not None:
-        scores |= summary(relation_errors(read_relations(options.relations), *read_tum(options.estimated)))
+        scores |= summary(
+            relation_errors(read_relations(options.relations), *read_tum(options.estimated))
+        )
     if options.walls is not None and options.world is not None:
-        scores |= map_scores(load_world(options.world), robot, read_walls(options.walls), motion, pairs)
+        scores |= map_scores(
+            load_world(options.world), robot, read_walls(options.walls), motion, pairs
+        )
     return scores
 
 

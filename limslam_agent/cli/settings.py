@@ -1,4 +1,6 @@
-"""What a command is told: by its options, and by the file of ``--config``, over which options win."""
+"""What a command is told: by its options, and by the file of ``--config``, over which options
+win.
+"""
 
 import re
 from collections.abc import Mapping
@@ -8,7 +10,14 @@ from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
 from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions
-from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
+from limslam_agent.config.tables import (
+    SettingsError,
+    Table,
+    read_toml,
+    table_of,
+    updated,
+    write_toml,
+)
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -27,14 +36,23 @@ _TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration 
 _OUTPUT = {"out", "force", "video", "watch"}
 
 # The true noise of wheels, which the kind of range sensors does not change.
-_WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
+_WHEELS = {
+    "wheel_variance",
+    "encoder_resolution",
+    "wheel_mismatch",
+    "axle_mismatch",
+    "slip_rate",
+    "slip_share",
+}
 # The settings of an agent that belong to its preset.
 _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 
 @dataclass(frozen=True)
 class Given:
-    """What a user gave: the file of ``--config`` with its content, and options of the command line by their names."""
+    """What a user gave: the file of ``--config`` with its content, and options of the command line
+    by their names.
+    """
 
     path: Path | None
     table: Table
@@ -52,15 +70,24 @@ class Given:
         unknown = set(self.table).difference(known, tables)
         if unknown:
             there = ", ".join([*known, *(f"[{name}]" for name in tables)])
-            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {there}")
+            raise SettingsError(
+                f"{self.path}: {min(unknown)}: there is no such setting; there are {there}"
+            )
         in_file = updated(
-            defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
+            defaults,
+            {name: self.table[name] for name in self.table if name not in tables},
+            str(self.path),
         )
         paths: dict[str, Any] = {
-            name: self.beside_file(value) for name, value in asdict(in_file).items() if isinstance(value, Path)
+            name: self.beside_file(value)
+            for name, value in asdict(in_file).items()
+            if isinstance(value, Path)
         }
         try:
-            return replace(in_file, **paths | {name: value for name, value in self.options.items() if name in known})
+            return replace(
+                in_file,
+                **paths | {name: value for name, value in self.options.items() if name in known},
+            )
         except ValueError as error:
             name, words = str(error).split(" ", 1)
             raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
@@ -72,19 +99,29 @@ class Given:
     def agent(self, base: "AgentConfig") -> "AgentConfig":
         """The agent's settings: those of the preset with the changes in the file's table ``agent``.
 
-        Options win over the table: a preset on the command line that is not the file's brings its own estimator, and
-        ``--noise`` sets the noise that the agent assumes.
+        Options win over the table: a preset on the command line that is not the file's brings its
+        own estimator, and ``--noise`` sets the noise that the agent assumes.
         """
         table, preset_in_file = self.table.get("agent", {}), self.table.get("preset", base.preset)
         if not isinstance(table, Mapping):
             raise SettingsError(f"{self.path}: agent: must be a table, not {table!r}")
         if "noise" in self.options and isinstance(noise := table.get("noise"), Mapping):
-            table = {**table, "noise": {name: value for name, value in noise.items() if name != "range_std"}}
+            table = {
+                **table,
+                "noise": {name: value for name, value in noise.items() if name != "range_std"},
+            }
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
-            raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
+            raise SettingsError(
+                f"{self.path}: agent.policy.until: is set as until, outside of all tables"
+            )
         if base.preset != preset_in_file:
             # A mistake in the file is a mistake, even if the table is not used.
-            updated(self._preset_in_file(preset_in_file, base), table, f"{self.path}: agent", fixed={"preset"})
+            updated(
+                self._preset_in_file(preset_in_file, base),
+                table,
+                f"{self.path}: agent",
+                fixed={"preset"},
+            )
             table = {name: value for name, value in table.items() if name not in _OF_PRESET}
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
@@ -106,9 +143,16 @@ class Given:
 
     def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":
         """The true noise of the simulator besides that of the option ``noise``."""
-        noise = updated(base, self.table.get("true_noise", {}), f"{self.path}: true_noise", fixed={"sensor_noise"})
+        noise = updated(
+            base,
+            self.table.get("true_noise", {}),
+            f"{self.path}: true_noise",
+            fixed={"sensor_noise"},
+        )
         if self.options.get("sharp"):
-            noise = type(base).sharp(**{name: value for name, value in vars(noise).items() if name in _WHEELS})
+            noise = type(base).sharp(
+                **{name: value for name, value in vars(noise).items() if name in _WHEELS}
+            )
         if "odometry_noise" in self.options:
             noise = replace(noise, wheel_variance=_wheel_variance(self.options["odometry_noise"]))
         try:
@@ -118,7 +162,9 @@ class Given:
             raise SettingsError(f"--wheel-mismatch: {error}") from error
 
     def robot(self) -> "RobotSpec":
-        """The robot of ``--robot``, else the paper's robot with the changes in the file's table ``robot``."""
+        """The robot of ``--robot``, else the paper's robot with the changes in the file's table
+        ``robot``.
+        """
         from limslam_env.interface import RobotSpec
 
         named = self.options.get("robot")
@@ -127,19 +173,30 @@ class Given:
         return updated(RobotSpec(), self.table.get("robot", {}), f"{self.path}: robot")
 
     def replay_robot(self) -> "RobotSpec | None":
-        """The robot that recorded a table. None where neither ``--robot`` nor the file names one."""
+        """The robot that recorded a table. None where neither ``--robot`` nor the file names
+        one.
+        """
         return self.robot() if "robot" in self.options or "robot" in self.table else None
 
     def blamed(self, error: ValueError) -> ValueError:
         """An error about a value, with the file and the key where the value is from the file."""
         told = {name: value for name, value in self.table.items() if name not in self.options}
-        key = next((name for name, value in told.items() if isinstance(value, str) and repr(value) in str(error)), None)
+        key = next(
+            (
+                name
+                for name, value in told.items()
+                if isinstance(value, str) and repr(value) in str(error)
+            ),
+            None,
+        )
         return SettingsError(f"{self.path}: {key}: {error}") if key else error
 
 
 @dataclass(frozen=True)
 class _RimBeams:
-    """Beams that start on the rim of the body and point straight out, as a robot's file may describe them."""
+    """Beams that start on the rim of the body and point straight out, as a robot's file may
+    describe them.
+    """
 
     beams_deg: tuple[float, ...] = ()
     min_range: float = 0.05
@@ -149,15 +206,17 @@ class _RimBeams:
 def robot_named(named: str) -> "RobotSpec":
     """A robot that ships with the package by its name, or the robot in a TOML file.
 
-    The file has the settings of `RobotSpec`. Its beams are tables of `SensorSpec`, or ``beams_deg``, ``min_range`` and
-    ``max_range`` for beams that start on the rim of the body.
+    The file has the settings of `RobotSpec`. Its beams are tables of `SensorSpec`, or
+    ``beams_deg``, ``min_range`` and ``max_range`` for beams that start on the rim of the body.
     """
     from limslam_env.robots import ROBOTS
 
     if named.replace("_", "-") in ROBOTS:
         return ROBOTS[named.replace("_", "-")]()
     if not named.endswith(".toml"):
-        raise SettingsError(f"--robot: no robot is called {named!r}; there are {', '.join(ROBOTS)}, or a .toml file")
+        raise SettingsError(
+            f"--robot: no robot is called {named!r}; there are {', '.join(ROBOTS)}, or a .toml file"
+        )
     try:
         table = read_toml(Path(named))
         missing = next((name for name in ("radius", "axle") if name not in table), None)
@@ -165,7 +224,9 @@ def robot_named(named: str) -> "RobotSpec":
     except SettingsError as error:
         raise SettingsError(f"--robot: {error}") from error
     if missing is not None:
-        raise SettingsError(f"--robot: {named}: {missing} is missing: a robot's file needs radius and axle, m")
+        raise SettingsError(
+            f"--robot: {named}: {missing} is missing: a robot's file needs radius and axle, m"
+        )
     return robot
 
 
@@ -177,19 +238,25 @@ def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
     names = [*(field.name for field in fields(RobotSpec)), *of_rim]
     unknown = next((name for name in table if name not in names), None)
     if unknown is not None:
-        raise SettingsError(f"{where}: {unknown}: there is no such setting; there are {', '.join(names)}")
+        raise SettingsError(
+            f"{where}: {unknown}: there is no such setting; there are {', '.join(names)}"
+        )
     rim = {name: table.pop(name) for name in of_rim if name in table}
     robot = updated(RobotSpec(), table, where)
     if not rim:
         return robot
     if "beams_deg" not in rim or "beams" in table:
         wrong = (
-            f"beams and {min(rim)} both describe the beams" if "beams" in table else f"{min(rim)} goes with beams_deg"
+            f"beams and {min(rim)} both describe the beams"
+            if "beams" in table
+            else f"{min(rim)} goes with beams_deg"
         )
         raise SettingsError(f"{where}: {wrong}")
     on_rim = updated(_RimBeams(), rim, where)
     try:
-        beams = beams_on_rim(on_rim.beams_deg, robot.radius, min_range=on_rim.min_range, max_range=on_rim.max_range)
+        beams = beams_on_rim(
+            on_rim.beams_deg, robot.radius, min_range=on_rim.min_range, max_range=on_rim.max_range
+        )
         return replace(robot, beams=beams)
     except ValueError as error:
         raise SettingsError(f"{where}: {error}") from error
@@ -198,7 +265,9 @@ def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
 def _wheel_variance(std: float) -> float:
     """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says."""
     if not 0.0 <= std <= _MAX_WHEEL_STD:
-        raise SettingsError(f"--odometry-noise must be a number from 0 to {_MAX_WHEEL_STD:g}, not {std:g}")
+        raise SettingsError(
+            f"--odometry-noise must be a number from 0 to {_MAX_WHEEL_STD:g}, not {std:g}"
+        )
     return std**2
 
 
@@ -207,7 +276,9 @@ def run_options(given: Given) -> RunOptions:
     options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
     for name, ends in (("world", r"\.\w+"), ("policy", r"\.py:\w+")):
         value = getattr(options, name)
-        is_file = re.search(rf"{ends}$", value) and not value.startswith("random:")  # its size may have a decimal point
+        is_file = re.search(rf"{ends}$", value) and not value.startswith(
+            "random:"
+        )  # its size may have a decimal point
         if name not in given.options and name in given.table and is_file:
             beside: dict[str, Any] = {name: str(given.beside_file(Path(value)))}
             options = replace(options, **beside)
@@ -219,7 +290,9 @@ def exploring_agent(given: Given, options: RunOptions | LiveOptions) -> "AgentCo
     from limslam_agent.config.presets import preset, with_until
     from limslam_env.interface import NominalNoise
 
-    return given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until))
+    return given.agent(
+        with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
+    )
 
 
 def run_config(given: Given, options: RunOptions) -> "RunConfig":
@@ -235,13 +308,27 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
             variance = _wheel_variance(given.options["odometry_noise"])
             agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
         if "max_time" not in given.options and "max_time" not in given.table:
-            max_time = min(max(max_time, _TIME_PER_GROUND * world.size[0] * world.size[1]), LONGEST_TIME)
+            max_time = min(
+                max(max_time, _TIME_PER_GROUND * world.size[0] * world.size[1]), LONGEST_TIME
+            )
         return RunConfig(
-            world, options.noise, options.preset, options.seed, max_time, options.laps,
-            given.robot(), options.robots, options.ablation, options.policy, options.limit,
-            agent, given.true_noise(NoiseConfig()), kidnap_at=options.kidnap_at,
-            prior_map=options.map, unknown_starts=options.unknown_starts,
-        )  # fmt: skip
+            world,
+            options.noise,
+            options.preset,
+            options.seed,
+            max_time,
+            options.laps,
+            given.robot(),
+            options.robots,
+            options.ablation,
+            options.policy,
+            options.limit,
+            agent,
+            given.true_noise(NoiseConfig()),
+            kidnap_at=options.kidnap_at,
+            prior_map=options.map,
+            unknown_starts=options.unknown_starts,
+        )
     except SettingsError:
         raise
     except ValueError as error:
@@ -249,7 +336,9 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
 
 
 def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -> None:
-    """Write the file that repeats a run: all settings as they were in effect, before the ablation."""
+    """Write the file that repeats a run: all settings as they were in effect, before the
+    ablation.
+    """
     from limslam_agent.config.presets import preset
     from limslam_env.interface import NominalNoise
 
@@ -257,15 +346,22 @@ def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -
     noise = table_of(config.true_noise)
     del noise["sensor_noise"]
     table = {
-        **_option_table(options), "world": _named(options.world), "policy": _kept_policy(folder, options.policy),
+        **_option_table(options),
+        "world": _named(options.world),
+        "policy": _kept_policy(folder, options.policy),
         "true_noise": noise,
-        "robot": table_of(config.robot), "agent": _agent_table(agent, options.noise),
-    }  # fmt: skip
-    write_toml(folder / FILE, table, f"All settings of a run: limslam run --config {FILE} repeats it.")
+        "robot": table_of(config.robot),
+        "agent": _agent_table(agent, options.noise),
+    }
+    write_toml(
+        folder / FILE, table, f"All settings of a run: limslam run --config {FILE} repeats it."
+    )
 
 
 def _kept_policy(folder: Path, policy: str) -> str:
-    """The name of a policy. A policy's file is copied into the run's folder, so that the folder repeats the run."""
+    """The name of a policy. A policy's file is copied into the run's folder, so that the folder
+    repeats the run.
+    """
     from limslam_agent.runs.policy_file import file_and_name, is_file_policy, short_name
 
     if is_file_policy(policy):
@@ -280,36 +376,55 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     from limslam_env.interface import NominalNoise
 
     told, in_file = given.options, odometry_config(options.odometry_noise, options.odometry_bias)
-    agent = given.agent(replace(preset(options.preset, NominalNoise(options.noise)), odometry=in_file))
+    agent = given.agent(
+        replace(preset(options.preset, NominalNoise(options.noise)), odometry=in_file)
+    )
     # An option wins over the file's table of the same settings.
-    odometry = odometry_config(told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry)
+    odometry = odometry_config(
+        told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry
+    )
     return replace(agent, odometry=odometry)
 
 
 def write_replay_settings(
     folder: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None" = None
 ) -> None:
-    """Write the file that repeats a replay: all settings as they were in effect, before the calibration."""
+    """Write the file that repeats a replay: all settings as they were in effect, before the
+    calibration.
+    """
     in_agent = ("odometry_noise", "odometry_bias")
     table = {name: value for name, value in _option_table(options).items() if name not in in_agent}
     table["agent"] = _agent_table(agent, options.noise)
     if robot is not None:
         table["robot"] = table_of(robot)
-    write_toml(folder / FILE, table, f"All settings of a replay: limslam replay --config {FILE} repeats it.")
+    write_toml(
+        folder / FILE,
+        table,
+        f"All settings of a replay: limslam replay --config {FILE} repeats it.",
+    )
 
 
 def write_live_settings(folder: Path, options: LiveOptions, agent: "AgentConfig") -> None:
-    """Write the file that repeats the map of a live session from its log, which lies beside the file."""
+    """Write the file that repeats the map of a live session from its log, which lies beside the
+    file.
+    """
     from limslam_agent.output.finished_run import LOG
 
     told: Table = {"log": LOG, "preset": options.preset, "noise": options.noise}
     table = {**told, "agent": _agent_table(agent, options.noise)}
-    write_toml(folder / FILE, table, f"All settings of a map: limslam replay --config {FILE} draws it again.")
+    write_toml(
+        folder / FILE,
+        table,
+        f"All settings of a map: limslam replay --config {FILE} draws it again.",
+    )
 
 
 def _option_table(options: RunOptions | ReplayOptions) -> dict[str, Any]:
     told = {name: value for name, value in asdict(options).items() if name not in _OUTPUT}
-    return {name: str(value.absolute()) if isinstance(value, Path) else value for name, value in told.items()}
+    return {
+        name: str(value.absolute()) if isinstance(value, Path) else value
+        for name, value in told.items()
+    }
 
 
 def _agent_table(agent: "AgentConfig", noise: float) -> dict[str, Any]:

@@ -21,13 +21,18 @@ if TYPE_CHECKING:
 SUFFIXES = (".png", ".pdf", ".svg")
 
 _Out = Annotated[
-    Path | None, typer.Option(help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none")
+    Path | None,
+    typer.Option(
+        help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none"
+    ),
 ]
 _Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 
 
 def show(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")
+    ],
     out: _Out = None,
     *,
     force: _Force = False,
@@ -42,16 +47,23 @@ def show(
         check_target(out, "a picture", SUFFIXES, force=force)
     run = read_run(folder)
     metrics, cost = (part_of(run.result, part) for part in ("metrics", "cost"))
-    lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
+    lines = record_summary(run.result) + (
+        replay_summary(metrics) if run.is_replay else run_summary(metrics, cost)
+    )
     say(f"run         {run.title}", *lines)
     edges = true_edges(run)
     title, picture = f"LimSLAM: {run.folder.name}", folder / PICTURE
-    if not _drawn(out, title, SIZE, lambda figure: draw_run(figure, run, lines, edges)) and picture.is_file():
+    if (
+        not _drawn(out, title, SIZE, lambda figure: draw_run(figure, run, lines, edges))
+        and picture.is_file()
+    ):
         say(f"picture     {picture}")
 
 
 def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw") -> bool:
-    """Draw a figure into a file, or in a window; False if there is no window to draw in, which is said."""
+    """Draw a figure into a file, or in a window; False if there is no window to draw in, which is
+    said.
+    """
     if out is not None:
         write_picture(out, size, draw)
         say(f"picture     {out}")
@@ -62,7 +74,9 @@ def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw"
 
 
 def true_edges(run: "FinishedRun") -> "FloatArray | None":
-    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that ships unchanged."""
+    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that
+    ships unchanged.
+    """
     from limslam_agent.output.finished_run import WORLD
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
@@ -89,7 +103,9 @@ def write_picture(path: Path, size: tuple[float, float], draw: "Draw") -> None:
 
 
 def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
-    """Show a figure in a window until it is closed; False, and nothing is shown, where no window can be opened."""
+    """Show a figure in a window until it is closed; False, and nothing is shown, where no window
+    can be opened.
+    """
     from limslam_env.rendering.window import has_display
 
     if not has_display():
@@ -112,7 +128,9 @@ def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
 
 
 def compare(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIR DIR...", help="The folders of finished runs.")],
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="DIR DIR...", help="The folders of finished runs.")
+    ],
     out: _Out = None,
     *,
     force: _Force = False,
@@ -134,12 +152,22 @@ def compare(
 
 
 def export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")
+    ],
     *,
-    csv: Annotated[bool, typer.Option("--csv", help="Tables: trajectories, walls, and the log of readings.")] = False,
-    dxf: Annotated[bool, typer.Option("--dxf", help="Walls and paths for a CAD program: map.dxf.")] = False,
-    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag, which Foxglove opens, too: the folder bag.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the files.", show_default="DIR/export")] = None,
+    csv: Annotated[
+        bool, typer.Option("--csv", help="Tables: trajectories, walls, and the log of readings.")
+    ] = False,
+    dxf: Annotated[
+        bool, typer.Option("--dxf", help="Walls and paths for a CAD program: map.dxf.")
+    ] = False,
+    bag: Annotated[
+        bool, typer.Option("--bag", help="A ROS 2 bag, which Foxglove opens, too: the folder bag.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the files.", show_default="DIR/export")
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
     """Write a finished run in the formats of other programs."""
@@ -149,4 +177,9 @@ def export(
     formats = [name for name, is_wanted in wanted.items() if is_wanted]
     if not formats:
         raise ValueError("a format is needed: --csv, --dxf or --bag")
-    say(*(f"written     {path}" for path in export_run(folder, out or folder / "export", formats, force=force)))
+    say(
+        *(
+            f"written     {path}"
+            for path in export_run(folder, out or folder / "export", formats, force=force)
+        )
+    )

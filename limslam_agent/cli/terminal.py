@@ -21,9 +21,16 @@ def progress_bar(task: str, total: float) -> Iterator[Advance]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True, highlight=False)
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[state]}"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[state]}"),
+        TimeElapsedColumn(),
+    )
     quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, refresh_per_second=5, disable=quiet) as progress:
+    with Progress(
+        *columns, console=console, transient=True, refresh_per_second=5, disable=quiet
+    ) as progress:
         bar = progress.add_task(task, total=total, state="")
         yield lambda done, state: progress.update(bar, completed=done, state=state)
 
@@ -51,14 +58,20 @@ def print_table(rows: list[tuple[str, ...]]) -> None:
 
 
 def run_command(
-    app: typer.Typer, name: str, *, interrupted: str = "stopped", resource: str = "output", numbers: bool = False
+    app: typer.Typer,
+    name: str,
+    *,
+    interrupted: str = "stopped",
+    resource: str = "output",
+    numbers: bool = False,
 ) -> NoReturn:
     """Run the command line of a program, and exit.
 
-    An error that the user can correct gives exit code 2 and one line, which begins with the program's name, not a
-    traceback. ``interrupted`` is said after Ctrl-C, and ``resource`` is what an error of the operating system without
-    the name of a file is about. With ``numbers``, a number that cannot be computed with comes from the user. Otherwise
-    it is a fault of the program, which ends with a traceback.
+    An error that the user can correct gives exit code 2 and one line, which begins with the
+    program's name, not a traceback. ``interrupted`` is said after Ctrl-C, and ``resource`` is what
+    an error of the operating system without the name of a file is about. With ``numbers``, a number
+    that cannot be computed with comes from the user. Otherwise it is a fault of the program, which
+    ends with a traceback.
     """
     try:
         code = app(standalone_mode=False)
@@ -67,7 +80,8 @@ def run_command(
     except (typer.Abort, KeyboardInterrupt):
         code = INTERRUPTED
     except ValueError as error:
-        # All errors that the project raises itself are ValueErrors: worlds, logs, outputs, settings.
+        # All errors that the project raises itself are ValueErrors: worlds, logs, outputs,
+        # settings.
         _fail(name, str(error))
     except OSError as error:
         _fail(name, f"{error.filename or resource}: {error.strerror or error}")

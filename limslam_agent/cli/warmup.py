@@ -15,12 +15,14 @@ def warmup() -> None:
 
     # Each step has its own line, which the kernels need not repeat.
     os.environ[QUIET] = "1"
-    # The last step takes half of all the time, so it is done beside the others, and is found on disk then. If that
-    # process fails, the step compiles its kernels here.
+    # The last step takes half of all the time, so it is done beside the others, and is found on
+    # disk then. If that process fails, the step compiles its kernels here.
     beside = subprocess.Popen(  # noqa: S603 (this interpreter, and this module)
         [sys.executable, "-P", "-c", f"from {__name__} import STEPS; STEPS[{LAST!r}][1]()"],
-        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         for name, (seconds, step) in STEPS.items():
             typer.echo(f"{name:12}", nl=False)
@@ -68,7 +70,9 @@ def _batch_slam() -> None:
 
 
 def _smoothers() -> None:
-    """Smooth a lap with the line smoother, and the same lap as a log of poses with the graph of local maps."""
+    """Smooth a lap with the line smoother, and the same lap as a log of poses with the graph of
+    local maps.
+    """
     import numpy as np
 
     from limslam_agent.config.presets import preset

@@ -27,12 +27,16 @@ def list_worlds(context: typer.Context) -> None:
 
     places = {name: load_world(name) for name in shipped_worlds()}
     ids = _gym_ids()
-    print_table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())])
+    print_table(
+        [_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())]
+    )
 
 
 @worlds.command()
 def check(
-    world: Annotated[str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")],
+    world: Annotated[
+        str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")
+    ],
     radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
 ) -> None:
     """Check whether a robot can be used in a world, and show the reason if it cannot."""
@@ -42,14 +46,18 @@ def check(
     from limslam_env.worlds.world import named
 
     if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
-        raise ValueError(f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not {radius:g}")
+        raise ValueError(
+            f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not "
+            f"{radius:g}"
+        )
     place = load_world(world)
     with named(world):
         place.check(radius)
     region = start_region(place, radius)
     width, height = place.size
     typer.echo(
-        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, {counted(len(place.walls), 'wall')}, "
+        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, "
+        f"{counted(len(place.walls), 'wall')}, "
         f"{counted(len(place.obstacles), 'obstacle')}, {counted(len(place.doors), 'door')}, "
         f"{counted(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
@@ -59,8 +67,12 @@ def check(
 
 @worlds.command()
 def convert(
-    source: Annotated[str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")],
-    target: Annotated[Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")],
+    source: Annotated[
+        str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")
+    ],
+    target: Annotated[
+        Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")
+    ],
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
@@ -82,10 +94,16 @@ def _gym_ids() -> dict[str, str]:
     import limslam_env  # noqa: F401 (registers the ids)
 
     ours = {name: spec for name, spec in gym.registry.items() if name.startswith("LimSlam-")}
-    return {spec.kwargs["world"]: name for name, spec in ours.items() if isinstance(spec.kwargs.get("world"), str)}
+    return {
+        spec.kwargs["world"]: name
+        for name, spec in ours.items()
+        if isinstance(spec.kwargs.get("world"), str)
+    }
 
 
 def _row(name: str, world: "World", gym_id: str) -> tuple[str, ...]:
-    counts = (str(len(things)) for things in (world.walls, world.obstacles, world.doors, world.starts))
+    counts = (
+        str(len(things)) for things in (world.walls, world.obstacles, world.doors, world.starts)
+    )
     loop = "yes" if len(world.loop) else "no"
     return (name, f"{world.size[0]:g} x {world.size[1]:g}", *counts, loop, gym_id)

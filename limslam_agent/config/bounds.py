@@ -1,4 +1,6 @@
-"""Bounds of settings: the annotation of a field says which numbers it may hold, and a base class checks them."""
+"""Bounds of settings: the annotation of a field says which numbers it may hold, and a base class
+checks them.
+"""
 
 import functools
 import math
@@ -20,9 +22,13 @@ class Bounds:
     high: float
 
     def check(self, name: str, value: Any) -> None:
-        """Raise a ValueError, which begins with the setting's name, if a number is out of bounds or not a number."""
+        """Raise a ValueError, which begins with the setting's name, if a number is out of bounds or
+        not a number.
+        """
         if not self.low <= value <= self.high:
-            raise ValueError(f"{name} must be a number from {self.low:g} to {self.high:g}, not {value}")
+            raise ValueError(
+                f"{name} must be a number from {self.low:g} to {self.high:g}, not {value}"
+            )
 
 
 Number = Annotated[float, Bounds(-1e6, 1e6)]
@@ -55,5 +61,7 @@ class Bounded:
 def bounds_of(kind: type[Any]) -> tuple[tuple[str, Bounds], ...]:
     """The fields of a class that have bounds, and their bounds."""
     hints = get_type_hints(kind, include_extras=True)
-    found = ((name, extra) for name, hint in hints.items() for extra in getattr(hint, "__metadata__", ()))
+    found = (
+        (name, extra) for name, hint in hints.items() for extra in getattr(hint, "__metadata__", ())
+    )
     return tuple((name, extra) for name, extra in found if isinstance(extra, Bounds))

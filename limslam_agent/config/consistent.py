@@ -1,7 +1,8 @@
 """Settings of the consistent estimator, one frozen dataclass for each stage.
 
-All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
-Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.consistent.limits`).
+All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres,
+angles in radians. Numbers that nothing sets are constants beside the code
+(:mod:`limslam_agent.slam.consistent.limits`).
 """
 
 import math
@@ -34,8 +35,11 @@ class PendingReadingsConfig(Bounded):
     min_distance: NonNegative = 0.01
     min_turn: NonNegative = math.radians(1.0)
     beams: Count = 8  # At most this many beams of a side are used in a step
-    batch: Count = 12  # Number of new readings of a side at which lines are extracted from its pending readings
-    max_age: NonNegative = 1.5  # A reading that has been pending for this long, m driven, is discarded
+    # Number of new readings of a side at which lines are extracted from its pending readings
+    batch: Count = 12
+    max_age: NonNegative = (
+        1.5  # A reading that has been pending for this long, m driven, is discarded
+    )
     max_clones: Count = 70  # Largest number of cloned poses in the filter's state
 
 
@@ -43,7 +47,8 @@ class PendingReadingsConfig(Bounded):
 class WallAssociationConfig(Bounded):
     """When the readings of one straight piece of wall belong to a known landmark."""
 
-    # Largest chi-square (two degrees of freedom) of the difference between the readings and a landmark
+    # Largest chi-square (two degrees of freedom) of the difference between the readings and a
+    # landmark
     gate: NonNegative = 9.0
 
 
@@ -51,10 +56,13 @@ class WallAssociationConfig(Bounded):
 class CreationConfig(Bounded):
     """When the readings of a piece of wall create a landmark."""
 
-    # Least length of the piece, m, for ranges with a standard deviation below 1 cm, and for other ranges
+    # Least length of the piece, m, for ranges with a standard deviation below 1 cm, and for other
+    # ranges
     min_length: NonNegative = 0.7
     min_length_noisy: NonNegative = 1.0
-    readings_per_std: NonNegative = 500.0  # Least number of readings for each metre of the ranges' standard deviation
+    readings_per_std: NonNegative = (
+        500.0  # Least number of readings for each metre of the ranges' standard deviation
+    )
 
 
 @dataclass(frozen=True)
@@ -75,13 +83,17 @@ class MergingConfig(Bounded):
 
 @dataclass(frozen=True)
 class SelfCalibrationConfig(Bounded):
-    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the axle."""
+    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the
+    axle.
+    """
 
-    # When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``, which is from the moment
-    # on at which the data show that the robot is not as specified
+    # When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``,
+    # which is from the moment on at which the data show that the robot is not as specified
     calibrate: WhenToCalibrate = "if_needed"
     size_std: _StdShare = 0.01  # Standard deviation of the size of both wheels together, as a share
-    uneven_std: _StdShare = 0.02  # Standard deviation of the difference between the two wheels, as a share
+    uneven_std: _StdShare = (
+        0.02  # Standard deviation of the difference between the two wheels, as a share
+    )
     axle_std: _StdShare = 0.03  # Standard deviation of the length of the axle, as a share
 
     @property
@@ -95,11 +107,13 @@ class SelfCalibrationConfig(Bounded):
 
 @dataclass(frozen=True)
 class RangeErrorConfig(Bounded):
-    """Estimation of the sensor's noise, its bias and the opening angle of its beams, where the data require it."""
+    """Estimation of the sensor's noise, its bias and the opening angle of its beams, where the data
+    require it.
+    """
 
     enabled: bool = True  # False takes the sensor to be as specified
-    # Twice the logarithm of the Bayes factor for another bias, opening angle or directions of the beams from which on
-    # it is used
+    # Twice the logarithm of the Bayes factor for another bias, opening angle or directions of the
+    # beams from which on it is used
     gate: NonNegative = 12.0
     # Twice the logarithm of the likelihood ratio for another noise from which on it is used
     noise_gate: NonNegative = 20.0
@@ -109,13 +123,17 @@ class RangeErrorConfig(Bounded):
     delay_std: NonNegative = 0.1  # Standard deviation of a delay of all ranges, s
     turn_std: NonNegative = 0.05  # Standard deviation of the direction of a beam, rad
     least_std: NonNegative = 0.005  # Smaller noise is not estimated, m
-    least_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.25  # Noise that differs by a smaller factor is as specified
-    # The two gates and the factor for a sensor that has already been found to differ from the specified one
+    least_ratio: Annotated[float, Bounds(1.01, 10.0)] = (
+        1.25  # Noise that differs by a smaller factor is as specified
+    )
+    # The two gates and the factor for a sensor that has already been found to differ from the
+    # specified one
     further_gate: NonNegative = 8.0
     further_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.1
 
     def stds(self, beams: int, period: float) -> tuple[float, ...]:
-        """Standard deviations of a bias, m, an opening angle, rad, a delay, and the directions of a robot's beams, rad.
+        """Standard deviations of a bias, m, an opening angle, rad, a delay, and the directions of a
+        robot's beams, rad.
 
         The delay is in steps of ``period`` seconds.
         """
@@ -141,7 +159,11 @@ class ConsistentConfig:
     range_errors: RangeErrorConfig = RangeErrorConfig()
 
     def for_ranges(self, std: float) -> Self:
-        """These settings with the least length of a new landmark for ranges of a standard deviation (m)."""
+        """These settings with the least length of a new landmark for ranges of a standard deviation
+        (m).
+        """
         if std < _NOISY_STD:
             return self
-        return replace(self, creation=replace(self.creation, min_length=self.creation.min_length_noisy))
+        return replace(
+            self, creation=replace(self.creation, min_length=self.creation.min_length_noisy)
+        )

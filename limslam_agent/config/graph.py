@@ -1,4 +1,5 @@
-"""Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all logs; m and rad.
+"""Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all
+logs; m and rad.
 
 Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.graph`).
 """
@@ -15,8 +16,8 @@ _DEGREE = math.pi / 180.0
 class PointConfig(Bounded):
     """The choice of the points of a log that are used."""
 
-    # Largest number of points for each metre driven. Of more points, those of every k-th beam are used, of other beams
-    # in each scan.
+    # Largest number of points for each metre driven. Of more points, those of every k-th beam are
+    # used, of other beams in each scan.
     points_per_metre: Positive = 140.0
 
 
@@ -24,12 +25,17 @@ class PointConfig(Bounded):
 class OdometryErrorConfig(Bounded):
     """The prior of the constant errors of odometry."""
 
-    bias_std: Positive = 1.5 * _DEGREE  # Prior standard deviation of the missing heading of odometry per metre, rad/m
+    bias_std: Positive = (
+        1.5 * _DEGREE
+    )  # Prior standard deviation of the missing heading of odometry per metre, rad/m
     # Prior standard deviations of the relative errors of distances and turns
     scale_std: Positive = 0.03
     turn_gain_std: Positive = 0.03
-    delay_std: Positive = 0.1  # Prior standard deviation of the time by which ranges are older than odometry, s
-    # Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad
+    delay_std: Positive = (
+        0.1  # Prior standard deviation of the time by which ranges are older than odometry, s
+    )
+    # Prior standard deviation of the angle between the direction of driving and ahead in the frame
+    # of the beams, rad
     direction_std: Angle = 2.0 * _DEGREE
 
     @property
@@ -74,8 +80,8 @@ class LocalMapConfig(Bounded):
 class ReversingConfig(Bounded):
     """The search for stretches that were driven backwards although odometry never says so."""
 
-    # Odometry has no sign if at least ``fewest`` stretches contradict that they were driven ahead: at least this share
-    # of their points would lie where only free space was seen before
+    # Odometry has no sign if at least ``fewest`` stretches contradict that they were driven ahead:
+    # at least this share of their points would lie where only free space was seen before
     contradicted: NonNegative = 0.03
     fewest: Count = 2
 

@@ -1,4 +1,6 @@
-"""Settings of the agent, the presets (named settings that the command line knows), and the ablations of them."""
+"""Settings of the agent, the presets (named settings that the command line knows), and the
+ablations of them.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,22 +25,29 @@ class GridConfig(Bounded):
     """The low-resolution occupancy grid."""
 
     cell: Positive = 0.10  # Side of a cell, m
-    # What a beam adds to the cells that it crosses, and what it subtracts from the cell in which it ends
+    # What a beam adds to the cells that it crosses, and what it subtracts from the cell in which it
+    # ends
     seen_through: CountOrNone = 1
     hit: CountOrNone = 4
-    limit: Annotated[int, Bounds(1, 10_000)] = 20  # A cell's value stays between minus and plus this
+    limit: Annotated[int, Bounds(1, 10_000)] = (
+        20  # A cell's value stays between minus and plus this
+    )
 
 
 @dataclass(frozen=True)
 class PolicyConfig(Bounded):
     """Exploration: when it is over, how fast the robot is, and which frontiers count."""
 
-    # When exploration is over: when everything was ``seen``, so that there is no frontier left, or when the ``walls``
-    # are whole, so that the robot has also looked at every stretch where free ground ends and the map has no wall
+    # When exploration is over: when everything was ``seen``, so that there is no frontier left, or
+    # when the ``walls`` are whole, so that the robot has also looked at every stretch where free
+    # ground ends and the map has no wall
     until: str = "seen"
-    # Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
+    # Cruising speed while exploring, m/s. A slower robot measures more points on each metre of
+    # wall.
     speed: Positive = 0.20
-    min_frontier: Count = 3  # Least number of cells of a frontier: smaller ones are mostly gaps between beams
+    min_frontier: Count = (
+        3  # Least number of cells of a frontier: smaller ones are mostly gaps between beams
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -55,26 +64,30 @@ ESTIMATORS: dict[str, EstimatorConfig] = {
     "odometry": PublishedConfig(filter=FilterConfig(correct=False)),
     "graph": ConsistentConfig(),
 }
-"""The estimator's settings in each preset. The preset ``graph`` also smooths a run or a log after its end."""
+"""The estimator's settings in each preset. The preset ``graph`` also smooths a run or a log after
+its end.
+"""
 
 PRESETS = tuple(ESTIMATORS)
 
 
 @dataclass(frozen=True)
 class AgentConfig(Bounded):
-    """Everything that an agent is told, besides its robot. ``AgentConfig()`` is the preset ``graph``.
+    """Everything that an agent is told, besides its robot. ``AgentConfig()`` is the preset
+    ``graph``.
 
     Attributes
     ----------
     preset
         Name of the preset that these settings started from.
     estimator
-        Settings of the estimator, which turns readings into a map. Their type chooses the estimator:
-        `PublishedConfig` or `ConsistentConfig`.
+        Settings of the estimator, which turns readings into a map. Their type chooses the
+        estimator: `PublishedConfig` or `ConsistentConfig`.
     noise
         Nominal noise of the robot, as its data sheets give it.
     min_range_std
-        Least standard deviation of a range that any estimator assumes, m: a sensor quantises its ranges.
+        Least standard deviation of a range that any estimator assumes, m: a sensor quantises its
+        ranges.
     odometry
         Noise and bias of the odometry of a recorded log.
     grid
@@ -82,19 +95,20 @@ class AgentConfig(Bounded):
     policy
         Exploration.
     free_space_counts
-        Whether a reading that ends in free space contradicts the map. False while such a reading may show the body of
-        another robot.
+        Whether a reading that ends in free space contradicts the map. False while such a reading
+        may show the body of another robot.
     finds_places
-        Whether a lost robot looks for its place in its map. Only a single robot with wheels and the consistent
-        estimator can do so.
+        Whether a lost robot looks for its place in its map. Only a single robot with wheels and the
+        consistent estimator can do so.
     smoothing
-        The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
-        saw it.
+        The graph of local maps that smooths a recorded log of poses after its end. None leaves the
+        log as the filter saw it.
     smooths_runs
-        Whether the line smoother smooths a run, or a recorded log of wheel travel, after its end. Only the associations
-        of the consistent estimator can be smoothed.
+        Whether the line smoother smooths a run, or a recorded log of wheel travel, after its end.
+        Only the associations of the consistent estimator can be smoothed.
     renewal
-        When the line smoother also renews the online estimate of a single robot with wheel encoders. None for never.
+        When the line smoother also renews the online estimate of a single robot with wheel
+        encoders. None for never.
     """
 
     preset: str = DEFAULT_PRESET
@@ -112,7 +126,8 @@ class AgentConfig(Bounded):
 
     @property
     def run_smoothing(self) -> SmootherConfig | None:
-        """Settings of the line smoother for a run of this estimator. None if runs are not, or cannot be, smoothed.
+        """Settings of the line smoother for a run of this estimator. None if runs are not, or
+        cannot be, smoothed.
 
         The smoother estimates the errors of the odometry where the filter may do so.
         """
@@ -137,8 +152,9 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     Parameters
     ----------
     name
-        One of ``PRESETS``: ``consistent``, ``paper`` (the published method), ``odometry`` (the published method
-        without corrections) or ``graph`` (like ``consistent``, and a run or a log is smoothed after its end).
+        One of ``PRESETS``: ``consistent``, ``paper`` (the published method), ``odometry`` (the
+        published method without corrections) or ``graph`` (like ``consistent``, and a run or a log
+        is smoothed after its end).
     noise
         Nominal noise of the robot; that of ideal ranges when None.
 
@@ -161,7 +177,8 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
 
 
 def with_until(config: AgentConfig, until: str) -> AgentConfig:
-    """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
+    """The same settings, with an exploration that is over when everything was ``seen`` or when the
+    ``walls`` are whole.
 
     Raises
     ------
@@ -172,8 +189,8 @@ def with_until(config: AgentConfig, until: str) -> AgentConfig:
 
 
 def self_calibrating(config: AgentConfig, calibrate: WhenToCalibrate = "always") -> AgentConfig:
-    """The same settings, with an estimator that estimates the constant errors of the odometry then. Raises a ValueError
-    if the estimator cannot do that.
+    """The same settings, with an estimator that estimates the constant errors of the odometry then.
+    Raises a ValueError if the estimator cannot do that.
     """
     if not isinstance(config.estimator, ConsistentConfig):
         raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
@@ -182,12 +199,18 @@ def self_calibrating(config: AgentConfig, calibrate: WhenToCalibrate = "always")
 
 
 NO_GATE = 1e6
-"""A gap that is longer than any gap between end points, m. It is finite, since settings are written as JSON."""
+"""A gap that is longer than any gap between end points, m. It is finite, since settings are written
+as JSON.
+"""
 
 _ABLATED: dict[str, Callable[[PublishedConfig], PublishedConfig]] = {
     "no-ekf": lambda config: replace(config, filter=replace(config.filter, correct=False)),
-    "no-loop-closing": lambda config: replace(config, closing=replace(config.closing, enabled=False)),
-    "no-end-gate": lambda config: replace(config, association=replace(config.association, max_end_gap=NO_GATE)),
+    "no-loop-closing": lambda config: replace(
+        config, closing=replace(config.closing, enabled=False)
+    ),
+    "no-end-gate": lambda config: replace(
+        config, association=replace(config.association, max_end_gap=NO_GATE)
+    ),
     "only-best-line": lambda config: replace(config, hough=replace(config.hough, only_best=True)),
 }
 
@@ -195,8 +218,9 @@ ABLATIONS = tuple(_ABLATED)
 
 
 def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
-    """The same settings with one part of the method switched off, which shows what that part contributes. Raises a
-    ValueError if there is no such ablation, or the estimator has no such part.
+    """The same settings with one part of the method switched off, which shows what that part
+    contributes. Raises a ValueError if there is no such ablation, or the estimator has no such
+    part.
     """
     estimator = config.estimator
     if ablation not in ABLATIONS:
@@ -204,5 +228,9 @@ def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
     if isinstance(estimator, PublishedConfig):
         return replace(config, estimator=_ABLATED[ablation](estimator))
     if ablation == "no-loop-closing":
-        return replace(config, estimator=replace(estimator, merging=replace(estimator.merging, enabled=False)))
-    raise ValueError(f"{ablation} switches off a part of the published method: it needs the preset paper")
+        return replace(
+            config, estimator=replace(estimator, merging=replace(estimator.merging, enabled=False))
+        )
+    raise ValueError(
+        f"{ablation} switches off a part of the published method: it needs the preset paper"
+    )

@@ -1,8 +1,9 @@
 """Settings of the published method: the estimator of the paper, which the preset ``paper`` selects.
 
-The preset ``odometry`` is the same estimator with its corrections switched off. "Published" names the method and its
-code, and "paper" names only that preset. The paper gives hardly any numbers: all of these are choices of this project,
-tuned on seeds that are not reported. Lengths are in metres, and angles are in radians.
+The preset ``odometry`` is the same estimator with its corrections switched off. "Published" names
+the method and its code, and "paper" names only that preset. The paper gives hardly any numbers: all
+of these are choices of this project, tuned on seeds that are not reported. Lengths are in metres,
+and angles are in radians.
 """
 
 import math
@@ -17,12 +18,12 @@ class BufferConfig(Bounded):
     """The scan buffers, which turn a few beams into a pseudo-dense scan."""
 
     size: Count = 30  # Number of points at which a buffer is full and its lines are extracted
-    # A side takes no new points before the robot has driven or turned this far, m and rad: points that are measured
-    # while the robot stands still add nothing to a line
+    # A side takes no new points before the robot has driven or turned this far, m and rad: points
+    # that are measured while the robot stands still add nothing to a line
     min_distance: NonNegative = 0.01
     min_turn: NonNegative = math.radians(1.0)
-    # Distance driven without a measurement after which the wall has ended, m. The lines of the buffer are then
-    # extracted, and the next measurement begins a new wall
+    # Distance driven without a measurement after which the wall has ended, m. The lines of the
+    # buffer are then extracted, and the next measurement begins a new wall
     max_gap: NonNegative = 0.25
 
 
@@ -30,22 +31,23 @@ class BufferConfig(Bounded):
 class AssociationConfig(Bounded):
     """When an observed line is a known landmark."""
 
-    # Largest squared Mahalanobis distance. It is wider than the quantile of chi-square, because the covariance of the
-    # published filter is too small.
+    # Largest squared Mahalanobis distance. It is wider than the quantile of chi-square, because the
+    # covariance of the published filter is too small.
     gate: NonNegative = 16.0
-    # Largest distance along the wall between the observation and the end points of the landmark, m: a little more than
-    # the gap that ends a wall in the buffer. An ablation removes this gate.
+    # Largest distance along the wall between the observation and the end points of the landmark, m:
+    # a little more than the gap that ends a wall in the buffer. An ablation removes this gate.
     max_end_gap: NonNegative = 0.35
-    # Largest difference of direction, rad, and largest distance of the observation's middle from the line, m
+    # Largest difference of direction, rad, and largest distance of the observation's middle from
+    # the line, m
     max_angle: Angle = math.radians(15.0)
     max_distance: NonNegative = 0.35
     # A landmark counts as visible up to this far past the range of the sensors, m
     range_slack: NonNegative = 0.25
-    # An observation of no known landmark becomes a new landmark if it is at least this long, m: the direction of a
-    # short segment is poorly known, and later observations are associated with it.
+    # An observation of no known landmark becomes a new landmark if it is at least this long, m: the
+    # direction of a short segment is poorly known, and later observations are associated with it.
     min_new_length: NonNegative = 0.30
-    # The same length as a share of the sensors' reach, because points are farther apart at long range. The larger of
-    # the two lengths applies
+    # The same length as a share of the sensors' reach, because points are farther apart at long
+    # range. The larger of the two lengths applies
     min_new_share: NonNegative = 0.14
 
 
@@ -55,10 +57,11 @@ class LoopClosingConfig(Bounded):
 
     enabled: bool = True  # False is the ablation without loop closing
     gate: NonNegative = 12.0  # Largest squared Mahalanobis distance between the two landmarks
-    # Least length of wall that both landmarks cover, m: two walls on one line with a door between them have no overlap.
+    # Least length of wall that both landmarks cover, m: two walls on one line with a door between
+    # them have no overlap.
     min_overlap: NonNegative = 0.20
-    # Largest difference of direction, rad, and largest distance of the newer landmark's middle from the older
-    # landmark's line, m
+    # Largest difference of direction, rad, and largest distance of the newer landmark's middle from
+    # the older landmark's line, m
     max_angle: Angle = math.radians(15.0)
     max_distance: NonNegative = 0.35
     # Least standard deviations of the difference of two landmarks, m and rad
@@ -68,7 +71,9 @@ class LoopClosingConfig(Bounded):
 
 @dataclass(frozen=True)
 class MapConfig(Bounded):
-    """When a landmark is a wall of the map. Until then it is provisional: the filter uses it, but no map shows it."""
+    """When a landmark is a wall of the map. Until then it is provisional: the filter uses it, but
+    no map shows it.
+    """
 
     min_observations: CountOrNone = 2  # Least number of observed lines of the landmark
     min_length: NonNegative = 0.30  # Least length of the landmark, m
@@ -78,10 +83,12 @@ class MapConfig(Bounded):
 class FilterConfig(Bounded):
     """The extended Kalman filter."""
 
-    # The angle variance of an observed line is that of its fit plus this share of the variance that the odometry's
-    # heading has accumulated since the points were measured. 0 uses the fit alone.
+    # The angle variance of an observed line is that of its fit plus this share of the variance that
+    # the odometry's heading has accumulated since the points were measured. 0 uses the fit alone.
     drift_share: NonNegative = 1.0
-    correct: bool = True  # False is the ablation without a filter: lines are drawn at the odometry's poses
+    correct: bool = (
+        True  # False is the ablation without a filter: lines are drawn at the odometry's poses
+    )
 
 
 @dataclass(frozen=True)

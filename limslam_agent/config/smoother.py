@@ -1,4 +1,6 @@
-"""Settings of the line smoother, which estimates all poses of a run. Its numbers are constants beside the code."""
+"""Settings of the line smoother, which estimates all poses of a run. Its numbers are constants
+beside the code.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,12 +12,15 @@ from limslam_agent.config.bounds import Bounded, NonNegative
 class SmootherConfig(Bounded):
     """All settings of the line smoother."""
 
-    # Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or ``if_needed``
+    # Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or
+    # ``if_needed``
     calibrate: Literal["always", "if_needed", "never"] = "if_needed"
 
 
 @dataclass(frozen=True)
 class RenewalConfig(Bounded):
-    """When the last minutes of a drive are smoothed while the robot drives on, and the online estimate is renewed."""
+    """When the last minutes of a drive are smoothed while the robot drives on, and the online
+    estimate is renewed.
+    """
 
     period: NonNegative = 900.0  # Longest time between two renewals, s

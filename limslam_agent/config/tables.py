@@ -21,15 +21,21 @@ class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
-        from limslam_env.messages import one_line  # the command line imports this module, but not the simulator
+        from limslam_env.messages import (
+            one_line,
+        )  # the command line imports this module, but not the simulator
 
         super().__init__(one_line(message))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file. Raises a SettingsError if there is no such file, or it is not TOML."""
+    """The content of a TOML file. Raises a SettingsError if there is no such file, or it is not
+    TOML.
+    """
     try:
-        return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
+        return tomllib.loads(
+            read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n")
+        )
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, RecursionError) as error:
@@ -37,7 +43,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def write_toml(path: Path, table: Table, comment: str) -> None:
-    """Write a table, with a line of comment above it. Settings that are None are left out, since TOML has no null."""
+    """Write a table, with a line of comment above it. Settings that are None are left out, since
+    TOML has no null.
+    """
     import tomli_w
 
     path.write_text(f"# {comment}\n{tomli_w.dumps(_without_none(table))}", encoding="utf-8")
@@ -54,7 +62,8 @@ def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) ->
     Parameters
     ----------
     settings
-        A frozen dataclass. A table for a dataclass inside of it changes only the values that the table has.
+        A frozen dataclass. A table for a dataclass inside of it changes only the values that the
+        table has.
     table
         The values by their names.
     where
@@ -69,16 +78,23 @@ def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) ->
     """
     every = {name: getattr(settings, name) for name in _hints(type(settings))}
     current = {name: value for name, value in every.items() if name not in fixed}
-    return _made(type(settings), every | _converted_table(type(settings), table, where, current), where)
+    return _made(
+        type(settings), every | _converted_table(type(settings), table, where, current), where
+    )
 
 
 def built(kind: type[T], table: Any, where: str) -> T:
-    """A dataclass from a table that has at least the values without defaults. Raises a SettingsError if a key is
-    unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
+    """A dataclass from a table that has at least the values without defaults. Raises a
+    SettingsError if a key is unknown or missing, or a value has a wrong type or is impossible;
+    ``where`` is the file and the key.
     """
     values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
     for field in _fields(kind):
-        if field.name not in values and field.default is MISSING and field.default_factory is MISSING:
+        if (
+            field.name not in values
+            and field.default is MISSING
+            and field.default_factory is MISSING
+        ):
             raise SettingsError(f"{_key(where, field.name)}: is missing")
     return _made(kind, values, where)
 
@@ -96,8 +112,13 @@ def _converted_table(kind: type[Any], table: Any, where: str, current: Table) ->
     hints = _hints(kind)
     for name in table:
         if name not in current:
-            raise SettingsError(f"{_key(where, name)}: there is no such setting; there are {', '.join(current)}")
-    return {name: _converted(hints[name], value, _key(where, name), current[name]) for name, value in table.items()}
+            raise SettingsError(
+                f"{_key(where, name)}: there is no such setting; there are {', '.join(current)}"
+            )
+    return {
+        name: _converted(hints[name], value, _key(where, name), current[name])
+        for name, value in table.items()
+    }
 
 
 def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
@@ -112,7 +133,9 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
         return _converted_list(hint, value, where)
     if get_origin(hint) is Literal:
         if value not in (known := get_args(hint)):
-            raise SettingsError(f"{where}: must be one of {', '.join(map(str, known))}, not {_described(value)}")
+            raise SettingsError(
+                f"{where}: must be one of {', '.join(map(str, known))}, not {_described(value)}"
+            )
         return value
     return _converted_plain(hint, value, where)
 
@@ -124,7 +147,9 @@ def _converted_plain(hint: Any, value: Any, where: str) -> Any:
         try:
             return float(value)
         except OverflowError:
-            raise SettingsError(f"{where}: is too large for a number: {_described(value)}") from None
+            raise SettingsError(
+                f"{where}: is too large for a number: {_described(value)}"
+            ) from None
     if type(value) is not hint:
         raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {_described(value)}")
     return value

@@ -13,9 +13,10 @@ _MOST_WAITING = 16
 class ReadingDrawer:
     """Draws the readings of one robot into an occupancy grid.
 
-    If the robot's beams miss walls now and then, a reading that saw nothing waits until so many of the same beam have
-    followed that the sensor hardly misses as often in a row. Without that, each drop-out would open ground behind a
-    wall, and an explorer would look at the borders of that ground for ever.
+    If the robot's beams miss walls now and then, a reading that saw nothing waits until so many of
+    the same beam have followed that the sensor hardly misses as often in a row. Without that, each
+    drop-out would open ground behind a wall, and an explorer would look at the borders of that
+    ground for ever.
 
     Parameters
     ----------
@@ -25,11 +26,19 @@ class ReadingDrawer:
 
     def __init__(self, robot: RobotSpec) -> None:
         self._robot, self._dropouts = robot, Dropouts(robot)
-        # Pose, readings, and those among them that saw nothing and are not drawn yet, of the last steps.
+        # Pose, readings, and those among them that saw nothing and are not drawn yet, of the last
+        # steps.
         self._waiting = deque[tuple[FloatArray, FloatArray, BoolArray]](maxlen=_MOST_WAITING)
         self._frame = 0
 
-    def draw(self, grid: OccupancyGrid, frame: int, pose: FloatArray, ranges: FloatArray, measured: BoolArray) -> None:
+    def draw(
+        self,
+        grid: OccupancyGrid,
+        frame: int,
+        pose: FloatArray,
+        ranges: FloatArray,
+        measured: BoolArray,
+    ) -> None:
         """Draw the readings of the next step, and those before that the step has confirmed.
 
         Parameters

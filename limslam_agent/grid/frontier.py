@@ -15,11 +15,14 @@ _ALL_AROUND = np.ones((3, 3), dtype=int)
 def frontier_cells(grid: GridView, min_size: int, ignored: BoolArray | None = None) -> BoolArray:
     """Free cells (rows, columns) beside an unknown cell, in groups of at least ``min_size``.
 
-    Cells that are ``ignored`` (rows, columns) are no frontiers, and the others are grouped without them.
+    Cells that are ``ignored`` (rows, columns) are no frontiers, and the others are grouped without
+    them.
     """
     # Cells beyond the grid are unknown.
     unknown = np.pad(grid.unknown, 1, constant_values=True)
-    found = grid.free & (unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:])
+    found = grid.free & (
+        unknown[:-2, 1:-1] | unknown[2:, 1:-1] | unknown[1:-1, :-2] | unknown[1:-1, 2:]
+    )
     if ignored is not None:
         found &= ~ignored
     labels, _ = ndimage.label(found, structure=_ALL_AROUND)

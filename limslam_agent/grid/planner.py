@@ -23,7 +23,8 @@ class Routes:
     Attributes
     ----------
     cost
-        Cost of the path to each cell (rows, columns), m, increased near walls; infinite for unreachable cells.
+        Cost of the path to each cell (rows, columns), m, increased near walls; infinite for
+        unreachable cells.
     predecessors
         Flat index of the cell before each cell on its path (k,); negative for none.
     """
@@ -51,10 +52,11 @@ def routes(
     closed: BoolArray | None = None,
     coast: float = math.inf,
 ) -> Routes:
-    """Least-cost paths from a place (2,), m, over free cells (E. Dijkstra, "A note on two problems", 1959).
+    """Least-cost paths from a place (2,), m, over free cells (E. Dijkstra, "A note on two
+    problems", 1959).
 
-    Steps far away from walls cost more, so that a robot that needs walls to know where it is stays near them (N. Roy,
-    W. Burgard, D. Fox and S. Thrun, "Coastal navigation", 1999).
+    Steps far away from walls cost more, so that a robot that needs walls to know where it is stays
+    near them (N. Roy, W. Burgard, D. Fox and S. Thrun, "Coastal navigation", 1999).
 
     Parameters
     ----------
@@ -63,15 +65,17 @@ def routes(
     start
         Position of the robot (2,), m. Its cell counts as free.
     radius
-        Distance from occupied cells within which a step costs many times as much, m. Such steps are not forbidden,
-        because cells are coarse, and a passage that looks too narrow may be the only one.
+        Distance from occupied cells within which a step costs many times as much, m. Such steps are
+        not forbidden, because cells are coarse, and a passage that looks too narrow may be the only
+        one.
     comfort
         Further distance within which a step costs up to three times as much, m.
     targets
-        Cells (rows, columns) of interest. If given, the search ends when the cheapest of them is found, and the cost
-        of cells that are more expensive may be infinite.
+        Cells (rows, columns) of interest. If given, the search ends when the cheapest of them is
+        found, and the cost of cells that are more expensive may be infinite.
     extra
-        What the targets cost besides their paths (rows, columns), m, at least 0. Nothing if it is left out.
+        What the targets cost besides their paths (rows, columns), m, at least 0. Nothing if it is
+        left out.
     closed
         Free cells (rows, columns) that paths must not cross.
     coast
@@ -89,10 +93,16 @@ def routes(
     factors = np.where(away > coast, _OPEN, 1.0) + np.where(away < radius, _TIGHT, 0.0)
     factors += 2.0 * np.clip((radius + comfort - away) / comfort, 0.0, 1.0)
     search_paths(
-        open_cells, grid.cell * factors, _NO_TARGETS if targets is None else targets.copy(),
-        _NO_COSTS if extra is None else extra.copy(), row * columns + column,
-        np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32), ways.cost.ravel(), ways.predecessors,
-    )  # fmt: skip
+        open_cells,
+        grid.cell * factors,
+        _NO_TARGETS if targets is None else targets.copy(),
+        _NO_COSTS if extra is None else extra.copy(),
+        row * columns + column,
+        np.empty(size, dtype=np.int32),
+        np.empty(size, dtype=np.int32),
+        ways.cost.ravel(),
+        ways.predecessors,
+    )
     return ways
 
 
@@ -100,5 +110,7 @@ def wall_distance(grid: GridView) -> FloatArray:
     """Distance (rows, columns), m, of each cell's centre from the nearest occupied cell's edge."""
     if not grid.occupied.any():
         return np.full(grid.values.shape, np.inf)
-    cells = cv2.distanceTransform((~grid.occupied).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    cells = cv2.distanceTransform(
+        (~grid.occupied).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE
+    )
     return np.asarray((cells.astype(float) - 0.5) * grid.cell)

@@ -1,7 +1,7 @@
 """Unfinished borders: stretches where free ground ends, and where the map has no wall.
 
-Free ground ends at faces, the sides that a free cell shares with a cell that is not free. A face is finished if a wall
-of the map is drawn there.
+Free ground ends at faces, the sides that a free cell shares with a cell that is not free. A face is
+finished if a wall of the map is drawn there.
 """
 
 from dataclasses import dataclass
@@ -14,10 +14,11 @@ from limslam_env.geometry import BoolArray, FloatArray
 
 # Steps to the four neighbours of a cell, as (row, column).
 _NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
-# Farthest distance, in cells, of a face from a wall that is drawn there: across the wall, if the face looks along it,
-# and past the wall's end.
+# Farthest distance, in cells, of a face from a wall that is drawn there: across the wall, if the
+# face looks along it, and past the wall's end.
 _ACROSS, _SIDEWAYS, _PAST = 1.8, 0.8, 0.5
-# A wall and a face look the same way if their normals differ by less than the angle with this cosine.
+# A wall and a face look the same way if their normals differ by less than the angle with this
+# cosine.
 _SAME_WAY = 0.5
 # Faces whose middles are at most this many cells apart belong to one stretch.
 _JOINED = 1.5
@@ -27,7 +28,9 @@ _SMOOTHED = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Sides of cells where free ground ends: their middles (n, 2), m, and unit normals (n, 2) into the free ground."""
+    """Sides of cells where free ground ends: their middles (n, 2), m, and unit normals (n, 2) into
+    the free ground.
+    """
 
     middles: FloatArray
     normals: FloatArray
@@ -41,7 +44,9 @@ class Faces:
 
 
 def border_faces(grid: GridView, ground: BoolArray) -> Faces:
-    """All faces of some free cells (rows, columns), ``ground``. Their normals are smoothed along the border."""
+    """All faces of some free cells (rows, columns), ``ground``. Their normals are smoothed along
+    the border.
+    """
     rows, columns = grid.values.shape
     free = np.zeros((rows + 2, columns + 2), dtype=bool)
     free[1:-1, 1:-1] = grid.values > 0
@@ -57,7 +62,9 @@ def border_faces(grid: GridView, ground: BoolArray) -> Faces:
 
 
 def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
-    """Free cells (rows, columns) that are connected to the cell of a place (2,), m. All free cells, if it has none."""
+    """Free cells (rows, columns) that are connected to the cell of a place (2,), m. All free cells,
+    if it has none.
+    """
     free, (row, column) = grid.free, grid.cells(place[None])[0].tolist()
     if not (0 <= row < free.shape[0] and 0 <= column < free.shape[1] and free[row, column]):
         return free
@@ -81,17 +88,27 @@ def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArr
 def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
     """Which faces (n,) are part of a stretch of at least ``least`` metres.
 
-    Faces that look away from each other are of two stretches, so that a single occupied cell makes no stretch.
+    Faces that look away from each other are of two stretches, so that a single occupied cell makes
+    no stretch.
     """
     from limslam_agent.kernels.regions import join_faces
 
     stretches = np.empty(len(faces), dtype=np.int64)
-    join_faces(faces.middles, faces.normals, faces.middles[:, 1].argsort(), _JOINED * cell, _SAME_WAY, stretches)
+    join_faces(
+        faces.middles,
+        faces.normals,
+        faces.middles[:, 1].argsort(),
+        _JOINED * cell,
+        _SAME_WAY,
+        stretches,
+    )
     return np.asarray((np.bincount(stretches) * cell >= least)[stretches], dtype=bool)
 
 
 def _smoothed(middles: FloatArray, normals: FloatArray) -> FloatArray:
-    """Unit normals (n, 2): the mean of those of the faces around that do not look the opposite way."""
+    """Unit normals (n, 2): the mean of those of the faces around that do not look the opposite
+    way.
+    """
     from limslam_agent.kernels.regions import sum_normals
 
     total = normals.copy()

@@ -1,4 +1,6 @@
-"""The compact form of a recording: named arrays of numbers and a table of texts, compressed into one string."""
+"""The compact form of a recording: named arrays of numbers and a table of texts, compressed into
+one string.
+"""
 
 import base64
 import gzip
@@ -23,7 +25,9 @@ _LEAST_QUANTUM = 1e-3
 
 
 class Ragged:
-    """Rows of different length, kept as one array of values and the place at which each row begins."""
+    """Rows of different length, kept as one array of values and the place at which each row
+    begins.
+    """
 
     def __init__(self, width: int) -> None:
         self._width, self._rows = width, list[NDArray[Any]]()
@@ -46,7 +50,9 @@ class Ragged:
 
 
 def rounded(values: Any, digits: int = 4) -> Any:
-    """Numbers or nested lists of numbers for JSON, with a few digits. What is not finite becomes None."""
+    """Numbers or nested lists of numbers for JSON, with a few digits. What is not finite becomes
+    None.
+    """
     if isinstance(values, np.ndarray):
         values = values.tolist()
     if isinstance(values, list | tuple):
@@ -66,19 +72,27 @@ def quantised(lengths: FloatArray, quantum: float) -> NDArray[np.int16]:
 
 
 def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, level: int = 9) -> str:
-    """Arrays and a table that JSON can hold as text in base64. ``level`` is how well it is compressed, 1 to 9.
+    """Arrays and a table that JSON can hold as text in base64. ``level`` is how well it is
+    compressed, 1 to 9.
 
-    It is a gzip file of the length of a header (4 bytes, little endian), the header, and the arrays. The header is
-    JSON: ``meta``, and for each array its type, shape and place.
+    It is a gzip file of the length of a header (4 bytes, little endian), the header, and the
+    arrays. The header is JSON: ``meta``, and for each array its type, shape and place.
     """
     listed, blocks, place = {}, [], 0
     for name, array in arrays.items():
         block = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes()
-        listed[name] = {"type": array.dtype.name, "shape": list(array.shape), "at": place, "bytes": len(block)}
+        listed[name] = {
+            "type": array.dtype.name,
+            "shape": list(array.shape),
+            "at": place,
+            "bytes": len(block),
+        }
         padding = -len(block) % _ALIGNED
         blocks += [block, bytes(padding)]
         place += len(block) + padding
-    header = json.dumps({"meta": dict(meta), "arrays": listed}, allow_nan=False, separators=(",", ":")).encode()
+    header = json.dumps(
+        {"meta": dict(meta), "arrays": listed}, allow_nan=False, separators=(",", ":")
+    ).encode()
     header += b" " * (-(len(header) + 4) % _ALIGNED)
     content = len(header).to_bytes(4, "little") + header + b"".join(blocks)
     return base64.b64encode(gzip.compress(content, level, mtime=0)).decode("ascii")

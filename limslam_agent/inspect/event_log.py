@@ -1,5 +1,5 @@
-"""Listens to a mapper step by step, and keeps what happens as a list for the page: extractions, decisions about lines,
-corrections, loops, goals.
+"""Listens to a mapper step by step, and keeps what happens as a list for the page: extractions,
+decisions about lines, corrections, loops, goals.
 """
 
 import math
@@ -11,7 +11,13 @@ import numpy as np
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.inspect.columns import rounded
 from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
+from limslam_agent.slam.core.diagnostics import (
+    AssociationRecord,
+    CandidateTest,
+    Closure,
+    Comparison,
+    Extraction,
+)
 from limslam_agent.slam.core.line_fit import bin_size
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import LEVELS
@@ -53,7 +59,9 @@ class EventLog:
         self._listen()
 
     def note(self, goals: FloatArray) -> None:
-        """Take a step that the mapper has made, with the goal (n, 2), m, of each robot, NaN for none."""
+        """Take a step that the mapper has made, with the goal (n, 2), m, of each robot, NaN for
+        none.
+        """
         self._close()
         self._look_at(self._mapper.slam)
         self._note_changes()
@@ -75,26 +83,42 @@ class EventLog:
         return self._mapper.frame != self._frame
 
     def mark(self, row: int, kind: str, words: str) -> None:
-        """Add an event of a step that the mapper does not know, such as that the robot was carried away."""
+        """Add an event of a step that the mapper does not know, such as that the robot was carried
+        away.
+        """
         self.events.append({"row": row, "kind": kind, "words": words})
         self.events.sort(key=lambda event: int(event["row"]))
 
     def _listen(self) -> None:
-        """Keep the associations of the present map, and listen to its SLAM: another frame has another one.
+        """Keep the associations of the present map, and listen to its SLAM: another frame has
+        another one.
 
         The local map of a lost robot is left alone, since most of it is forgotten.
         """
         slam, is_lost = self._mapper.slam, self._mapper.statuses[0].level == "lost"
         if slam is not self._slam:
             if self._slam is not None and not self._mapper.frame:
-                self._add({"kind": "restart", "words": "all observations are processed again, with what is known now"})
+                self._add(
+                    {
+                        "kind": "restart",
+                        "words": "all observations are processed again, with what is known now",
+                    }
+                )
             if not is_lost:
                 slam.on_association, slam.on_comparison = self._on_association, self._on_comparison
                 kept = zip(self.associations, slam.associations, strict=False)
-                del self.associations[sum(1 for _ in takewhile(lambda pair: pair[0][1] is pair[1], kept)) :]
-            self._slam, self._closures, self._extraction = slam, len(slam.closures), slam.last_extraction
+                del self.associations[
+                    sum(1 for _ in takewhile(lambda pair: pair[0][1] is pair[1], kept)) :
+                ]
+            self._slam, self._closures, self._extraction = (
+                slam,
+                len(slam.closures),
+                slam.last_extraction,
+            )
         if slam.on_association is not None:
-            self.associations += [(self._row, record) for record in slam.associations[len(self.associations) :]]
+            self.associations += [
+                (self._row, record) for record in slam.associations[len(self.associations) :]
+            ]
 
     def _on_comparison(self, comparison: Comparison) -> None:
         slam = self._slam
@@ -118,7 +142,9 @@ class EventLog:
         (event, _, closures), self._open = self._open, None
         merges = isinstance(self._mapper.config.estimator, ConsistentConfig)
         if len(self._slam.closures) > closures and not merges:
-            event["why"] = "it shows that two walls are one: it closes the loop and is not used further"
+            event["why"] = (
+                "it shows that two walls are one: it closes the loop and is not used further"
+            )
             return
         _explain_waiting(event, self._mapper.slam.association_limits)
 
@@ -133,7 +159,9 @@ class EventLog:
         if last is not None and last is not self._extraction and slam is self._slam:
             self._extraction = last
             if len(last.points):
-                self._add(_extraction_event(last, hough.min_votes, bin_size(hough, slam.config.range_std)))
+                self._add(
+                    _extraction_event(last, hough.min_votes, bin_size(hough, slam.config.range_std))
+                )
         if slam is self._slam:
             for closure in slam.closures[self._closures :]:
                 self._add(_loop_event(closure))
@@ -144,7 +172,11 @@ class EventLog:
         mapper = self._mapper
         records = mapper.places.records
         for record in records[self._places :]:
-            words = f"{record['event']}: {record['reason']}" if record.get("reason") else str(record["event"])
+            words = (
+                f"{record['event']}: {record['reason']}"
+                if record.get("reason")
+                else str(record["event"])
+            )
             self._add({"kind": "place", "words": words})
         if mapper.frame != self._frame and len(records) == self._places:
             self._add({"kind": "place", "words": "the map goes on in another frame"})
@@ -152,7 +184,9 @@ class EventLog:
         for number, status in enumerate(mapper.statuses):
             level = LEVELS.index(status.level)
             if level != self._levels[number]:
-                self._add({"kind": "status", "robot": number, "level": level, "words": status.words})
+                self._add(
+                    {"kind": "status", "robot": number, "level": level, "words": status.words}
+                )
                 self._levels[number] = level
 
     def _note_goals(self, goals: FloatArray) -> None:
@@ -164,52 +198,90 @@ class EventLog:
 
 
 def _upper_triangle(covariance: FloatArray) -> list[float]:
-    """The six numbers of a covariance (3, 3): xx, xy, xt, yy, yt, tt. Small numbers keep their digits."""
+    """The six numbers of a covariance (3, 3): xx, xy, xt, yy, yt, tt. Small numbers keep their
+    digits.
+    """
     return [float(f"{value:.4g}") for value in covariance[np.triu_indices(3)].tolist()]
 
 
 def _extraction_event(extraction: Extraction, threshold: int, r_step: float) -> Event:
-    """The lines that were found in one scan. The page counts the votes again from the points, which is exact and small.
+    """The lines that were found in one scan. The page counts the votes again from the points, which
+    is exact and small.
 
     Points are whole millimetres in the robot's frame, and lines are (r, theta) there.
     """
     return {
-        "kind": "hough", "robot": extraction.robot, "side": extraction.side, "pose": rounded(extraction.pose),
+        "kind": "hough",
+        "robot": extraction.robot,
+        "side": extraction.side,
+        "pose": rounded(extraction.pose),
         "points": np.rint(1e3 * extraction.points).astype(int).ravel().tolist(),
-        "lines": rounded(extraction.lines), "ends": rounded(extraction.ends.reshape(-1, 4), 3),
-        "threshold": threshold, "r_step": r_step,
-    }  # fmt: skip
+        "lines": rounded(extraction.lines),
+        "ends": rounded(extraction.ends.reshape(-1, 4), 3),
+        "threshold": threshold,
+        "r_step": r_step,
+    }
 
 
 def _comparison_event(comparison: Comparison, slam: LineSlam) -> Event:
-    """An observed line with the landmarks that it was compared with, and the pose before it is used."""
+    """An observed line with the landmarks that it was compared with, and the pose before it is
+    used.
+    """
     robot = comparison.robot
     return {
-        "kind": "waits", "robot": robot, "ends": rounded(comparison.ends.ravel(), 3), "used": len(comparison.readings),
+        "kind": "waits",
+        "robot": robot,
+        "ends": rounded(comparison.ends.ravel(), 3),
+        "used": len(comparison.readings),
         "tests": [_row(test) for test in _nearest(comparison.tests)],
-        "before": {"pose": rounded(slam.poses[robot], 5), "cov": _upper_triangle(slam.covariances[robot])},
-    }  # fmt: skip
+        "before": {
+            "pose": rounded(slam.poses[robot], 5),
+            "cov": _upper_triangle(slam.covariances[robot]),
+        },
+    }
 
 
 def _correct(event: Event, record: AssociationRecord, slam: LineSlam) -> None:
-    """Change the event of a comparison into the one of the association that followed, with the pose after it."""
+    """Change the event of a comparison into the one of the association that followed, with the pose
+    after it.
+    """
     robot = record.robot
     event |= {
-        "kind": "new" if record.is_new else "again", "wall": record.landmark + 1,
-        "after": {"pose": rounded(slam.poses[robot], 5), "cov": _upper_triangle(slam.covariances[robot])},
-    }  # fmt: skip
+        "kind": "new" if record.is_new else "again",
+        "wall": record.landmark + 1,
+        "after": {
+            "pose": rounded(slam.poses[robot], 5),
+            "cov": _upper_triangle(slam.covariances[robot]),
+        },
+    }
 
 
 def _explain_waiting(event: Event, limits: dict[str, float]) -> None:
     """Say why a line was not used, from the distances of the walls that it was compared with."""
-    fits = sorted((test["d2"], test["wall"]) for test in event["tests"] if test["out"] == "" and test["d2"] is not None)
-    near = [test for test in event["tests"] if test["d2"] is not None and test["d2"] <= limits.get("far_gate", 0.0)]
+    fits = sorted(
+        (test["d2"], test["wall"])
+        for test in event["tests"]
+        if test["out"] == "" and test["d2"] is not None
+    )
+    near = [
+        test
+        for test in event["tests"]
+        if test["d2"] is not None and test["d2"] <= limits.get("far_gate", 0.0)
+    ]
     if fits:
-        event["why"] = f"wall {fits[0][1]} fits, but its points are too few, not straight enough, or beyond its ends"
+        event["why"] = (
+            f"wall {fits[0][1]} fits, but its points are too few, not straight enough, or beyond "
+            "its ends"
+        )
     elif near:
-        event["why"] = f"it is neither clearly wall {near[0]['wall']} nor clearly another wall: the points wait"
+        event["why"] = (
+            f"it is neither clearly wall {near[0]['wall']} nor clearly another wall: the points "
+            "wait"
+        )
     elif "far_gate" in limits:
-        event["why"] = "no wall fits, and for a new wall it is too short or too uncertain: the points wait"
+        event["why"] = (
+            "no wall fits, and for a new wall it is too short or too uncertain: the points wait"
+        )
     else:
         event["why"] = "no wall fits, and for a new wall it is too short: the points are dropped"
 
@@ -217,15 +289,23 @@ def _explain_waiting(event: Event, limits: dict[str, float]) -> None:
 def _loop_event(closure: Closure) -> Event:
     """Two walls that were found to be one."""
     return {
-        "kind": "loop", "wall": closure.younger + 1, "other": closure.older + 1,
+        "kind": "loop",
+        "wall": closure.younger + 1,
+        "other": closure.older + 1,
         "d2": rounded([closure.distance_before, closure.distance_after], 3),
         "offset": rounded([closure.offset_before, closure.offset_after]),
-    }  # fmt: skip
+    }
 
 
 def _nearest(tests: tuple[CandidateTest, ...]) -> list[CandidateTest]:
-    """The landmarks most like a line: first those that passed the tests, and then by offset and gap."""
-    near = [test for test in tests if test.excluded in {"", "gate"} or (test.offset < _FAR and test.gap < _FAR)]
+    """The landmarks most like a line: first those that passed the tests, and then by offset and
+    gap.
+    """
+    near = [
+        test
+        for test in tests
+        if test.excluded in {"", "gate"} or (test.offset < _FAR and test.gap < _FAR)
+    ]
     return sorted(near, key=_unlikeness)[:MOST_TESTS]
 
 
@@ -237,6 +317,10 @@ def _unlikeness(test: CandidateTest) -> tuple[bool, float]:
 
 def _row(test: CandidateTest) -> dict[str, Any]:
     return {
-        "wall": test.landmark + 1, "out": test.excluded, "angle": rounded(math.degrees(test.angle), 1),
-        "offset": rounded(test.offset, 3), "gap": rounded(test.gap, 3), "d2": rounded(test.distance, 2),
-    }  # fmt: skip
+        "wall": test.landmark + 1,
+        "out": test.excluded,
+        "angle": rounded(math.degrees(test.angle), 1),
+        "offset": rounded(test.offset, 3),
+        "gap": rounded(test.gap, 3),
+        "d2": rounded(test.distance, 2),
+    }

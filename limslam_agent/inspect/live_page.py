@@ -47,7 +47,8 @@ class LivePage:
         self.title, self.address, self.is_over = title, address, False
         self._fixed = {} if edges is None else {"edges": edges.astype(np.float32)}
         self._changed = threading.Condition()
-        # Each is replaced as a whole, so that the run does not wait while a state is packed for a page.
+        # Each is replaced as a whole, so that the run does not wait while a state is packed for a
+        # page.
         self._state: tuple[int, dict[str, NDArray[Any]], dict[str, Any]] = 0, {}, {}
         self._due = 0.0
 
@@ -69,25 +70,34 @@ class LivePage:
             self._changed.notify_all()
 
     def _offer(self, recorder: Recorder) -> None:
-        state = self._state[0] + 1, self._fixed | recorder.arrays(), {**recorder.meta(), "check": ""}
+        state = (
+            self._state[0] + 1,
+            self._fixed | recorder.arrays(),
+            {**recorder.meta(), "check": ""},
+        )
         with self._changed:
             self._state = state
             self._changed.notify_all()
 
     def newest(self, version: int) -> tuple[int, str]:
-        """The number of the latest state, and the state as the page reads it; empty if its number is ``version``.
+        """The number of the latest state, and the state as the page reads it; empty if its number
+        is ``version``.
 
-        A page that has the latest one waits here for the next, because browsers slow the clocks of hidden pages.
+        A page that has the latest one waits here for the next, because browsers slow the clocks of
+        hidden pages.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._state[0] not in {0, version} or self.is_over, _PATIENCE)
+            self._changed.wait_for(
+                lambda: self._state[0] not in {0, version} or self.is_over, _PATIENCE
+            )
             number, arrays, meta = self._state
         is_new = number not in {0, version}
         return number, packed(arrays, told_to_page(self.title, meta), level=1) if is_new else ""
 
 
 class Follower:
-    """Records a mapper while it runs, from its first step that is noted, for a page if there is one.
+    """Records a mapper while it runs, from its first step that is noted, for a page if there is
+    one.
 
     ``steps`` is the largest number of steps that will come.
     """
@@ -97,15 +107,21 @@ class Follower:
         self._recorder: Recorder | None = None
 
     def note(
-        self, mapper: Mapper, policies: Sequence[Policy], seconds: float, true: FloatArray | None = None
+        self,
+        mapper: Mapper,
+        policies: Sequence[Policy],
+        seconds: float,
+        true: FloatArray | None = None,
     ) -> Recorder:
-        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known. Returns the
-        recording so far.
+        """Note a step, after the policies have decided, with the true poses (n, 3) where they are
+        known. Returns the recording so far.
         """
         if self._recorder is None:
             self._recorder = Recorder(mapper, self._steps)
         ranges = np.full((len(mapper.poses), len(mapper.robot.beams)), np.nan)
-        for row, front in zip(ranges, mapper.slam.robots, strict=False):  # of robots apart, the SLAM has the first one
+        for row, front in zip(
+            ranges, mapper.slam.robots, strict=False
+        ):  # of robots apart, the SLAM has the first one
             row[:] = np.where(front.measured | front.dropped, front.ranges, np.nan)
         self._recorder.note(seconds, ranges, policies, true)
         if self._page is not None:
@@ -122,11 +138,15 @@ class Follower:
 
 @contextmanager
 def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]:
-    """A page that is served on a free port while the context lasts, with the true walls (k, 4), m, if known."""
+    """A page that is served on a free port while the context lasts, with the true walls (k, 4), m,
+    if known.
+    """
     with ThreadingHTTPServer((HOST, 0), _Handler) as server:
         server.daemon_threads = True
         server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)  # type: ignore[attr-defined]
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
+        thread = threading.Thread(
+            target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
+        )
         thread.start()
         try:
             yield page
@@ -137,20 +157,30 @@ def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers the page: the page itself, and ``/recording?N``, the latest state unless its number is N."""
+    """Answers the page: the page itself, and ``/recording?N``, the latest state unless its number
+    is N.
+    """
 
     def do_GET(self) -> None:
         """Answer a request."""
         page: LivePage = self.server.page  # type: ignore[attr-defined]
         path, _, known = self.path.partition("?")
-        if f"http://{self.headers.get('Host', '')}/" != page.address:  # a name of somebody else that leads here
+        if (
+            f"http://{self.headers.get('Host', '')}/" != page.address
+        ):  # a name of somebody else that leads here
             self.send_error(403)
         elif path == "/":
             self._send(page_of(page.title), "text/html; charset=utf-8")
         elif path == "/recording":
-            is_over = page.is_over  # asked before the state: what comes after the last one is nothing
+            is_over = (
+                page.is_over
+            )  # asked before the state: what comes after the last one is nothing
             version, text = page.newest(int(known) if known.isdecimal() else 0)
-            self._send(text, "text/plain; charset=ascii", {"X-State": str(version), "X-Over": str(int(is_over))})
+            self._send(
+                text,
+                "text/plain; charset=ascii",
+                {"X-State": str(version), "X-Over": str(int(is_over))},
+            )
         else:
             self.send_error(404)
 
@@ -160,7 +190,11 @@ class _Handler(BaseHTTPRequestHandler):
     def _send(self, text: str, kind: str, told: Mapping[str, str] = MappingProxyType({})) -> None:
         content = text.encode()
         self.send_response(200)
-        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **told}.items():
+        for name, value in {
+            "Content-Type": kind,
+            "Content-Length": str(len(content)),
+            **told,
+        }.items():
             self.send_header(name, value)
         self.send_header("Cache-Control", "no-store")
         with suppress(OSError):  # the page was closed

@@ -1,4 +1,6 @@
-"""The page: one HTML file that holds the recording, the program that plays it, and all that the program needs."""
+"""The page: one HTML file that holds the recording, the program that plays it, and all that the
+program needs.
+"""
 
 import html
 import re
@@ -20,18 +22,30 @@ SCRIPTS = ("data.js", "scene.js", "panels.js", "plots.js", "app.js")
 _HERE = "limslam_agent.inspect"
 
 EXPLANATIONS = {
-    "waits": ("Wait: this line is not used yet.", "A wrong association would spoil the map, so doubtful points wait."),
-    "status": ("The status has changed.", "Readings that contradict the map, or an uncertain heading, change it."),
-    "place": ("The robot's place is in question.", "A lost robot maps in a local frame until its place is clear."),
+    "waits": (
+        "Wait: this line is not used yet.",
+        "A wrong association would spoil the map, so doubtful points wait.",
+    ),
+    "status": (
+        "The status has changed.",
+        "Readings that contradict the map, or an uncertain heading, change it.",
+    ),
+    "place": (
+        "The robot's place is in question.",
+        "A lost robot maps in a local frame until its place is clear.",
+    ),
     "restart": (
         "Start again: the odometry has constant errors.",
         "The filter estimates wheels and axle, and processes all observations again.",
     ),
     "handover": (
         "The online graph goes on.",
-        "The filter is lost. The path of the replay is that of the graph from here on; this page shows the filter.",
+        "The filter is lost. The replay's path is that of the graph from here on, not shown here.",
     ),
-    "kidnap": ("The robot is carried to another place.", "Nothing tells the agent: it has to notice by itself."),
+    "kidnap": (
+        "The robot is carried to another place.",
+        "Nothing tells the agent: it has to notice by itself.",
+    ),
 }
 """Headline and explanation of the events that no film explains."""
 
@@ -48,40 +62,51 @@ def _part(folder: str, name: str) -> str:
 
 
 def parts_of_pages(style: str) -> dict[str, str]:
-    """The parts of all pages: the vendored plotting library, whose style sheet comes before a page's own."""
+    """The parts of all pages: the vendored plotting library, whose style sheet comes before a
+    page's own.
+    """
     return {
         "STYLE": _part("vendor", "uPlot.min.css") + style,
-        "LICENSE": _part("vendor", "LICENSE.uPlot").replace("--", "- -"),  # the text of an HTML comment
+        "LICENSE": _part("vendor", "LICENSE.uPlot").replace(
+            "--", "- -"
+        ),  # the text of an HTML comment
         "LIBRARY": _part("vendor", "uPlot.iife.min.js"),
     }
 
 
 def page(title: str, recording: str = "") -> str:
-    """The text of the HTML file, from what was run, in one line, and the recording as text. Without one, the page asks
-    the server it comes from for it, again and again.
+    """The text of the HTML file, from what was run, in one line, and the recording as text. Without
+    one, the page asks the server it comes from for it, again and again.
     """
     own = {
-        "TITLE": html.escape(title, quote=False), "SCRIPT": "\n".join(_part("page", name) for name in SCRIPTS),
+        "TITLE": html.escape(title, quote=False),
+        "SCRIPT": "\n".join(_part("page", name) for name in SCRIPTS),
         "DATA": recording,
-    }  # fmt: skip
+    }
     return filled(_part("page", "page.html"), parts_of_pages(_part("page", "style.css")) | own)
 
 
 def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
     """The table of a recording with the title and the texts for students."""
-    lessons = {kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()} | EXPLANATIONS
+    lessons = {
+        kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()
+    } | EXPLANATIONS
     lessons |= {"loop": MERGED} if meta["merges"] else {}
     return {**meta, "title": title, "lessons": lessons}
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:
-    """A template with a part in place of each ``@@NAME@@``. The parts themselves stay as they are."""
+    """A template with a part in place of each ``@@NAME@@``. The parts themselves stay as they
+    are.
+    """
     return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], template)
 
 
-def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> int:
-    """Write the HTML file, which appears only when it is complete. Returns its size in bytes. Raises an OSError if it
-    cannot be written there.
+def write_page(
+    path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]
+) -> int:
+    """Write the HTML file, which appears only when it is complete. Returns its size in bytes.
+    Raises an OSError if it cannot be written there.
     """
     content = page(title, packed(arrays, told_to_page(title, meta))).encode()
     with atomic_write(path) as beside:

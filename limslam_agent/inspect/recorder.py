@@ -38,10 +38,11 @@ _MM = 1e3
 class Recorder:
     """Keeps the frames and the events of one run.
 
-    Call :meth:`note` after each step of the mapper. Nothing that the recorder does changes the mapper.
+    Call :meth:`note` after each step of the mapper. Nothing that the recorder does changes the
+    mapper.
 
-    ``steps`` is the number of steps that will come, or at least their largest number. Of steps that the mapper has made
-    before, nothing is known. ``frame_rows`` has the step of each frame.
+    ``steps`` is the number of steps that will come, or at least their largest number. Of steps that
+    the mapper has made before, nothing is known. ``frame_rows`` has the step of each frame.
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
@@ -49,7 +50,9 @@ class Recorder:
         self._time, self._true, self._slam_steps = list[float](), list[FloatArray](), list[int]()
         self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
-        self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
+        self._beams = np.unique(
+            np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int)
+        )
         self._row, self.frame_rows = 0, list[int]()
         self._columns = defaultdict[str, list[Any]](list)
         self._reasons: dict[str, int] = {"": 0}
@@ -58,7 +61,10 @@ class Recorder:
         self._frontiers: list[list[dict[str, Any]]] = []
         self._changes = GridChanges()
         self._last_map, self._last_plans = b"", b""
-        self._last_goals, self._frontiers_at = np.full((len(mapper.poses), 2), np.nan), -_FRONTIERS_EVERY
+        self._last_goals, self._frontiers_at = (
+            np.full((len(mapper.poses), 2), np.nan),
+            -_FRONTIERS_EVERY,
+        )
 
     def note(
         self,
@@ -67,10 +73,11 @@ class Recorder:
         policies: Sequence[Policy] | None = None,
         true: FloatArray | None = None,
     ) -> None:
-        """Keep a step that the mapper has made, after the policy of each robot has decided, if there are policies.
+        """Keep a step that the mapper has made, after the policy of each robot has decided, if
+        there are policies.
 
-        The readings (n, n_beams), m, are NaN where a beam has measured nothing new. True poses (n, 3), m and rad, are
-        kept where they are known.
+        The readings (n, n_beams), m, are NaN where a beam has measured nothing new. True poses (n,
+        3), m and rad, are kept where they are known.
         """
         self._time.append(float(time))
         self._slam_steps.append(self._mapper.slam.robots[0].step)
@@ -83,7 +90,11 @@ class Recorder:
 
     def finish(self) -> None:
         """Note what the mapper has done with the pending readings at the end of the run."""
-        if self.log.is_in_another_frame and self.frame_rows and self.frame_rows[-1] == self._row - 1:
+        if (
+            self.log.is_in_another_frame
+            and self.frame_rows
+            and self.frame_rows[-1] == self._row - 1
+        ):
             # The last row of a run is in the frame in which the run has ended.
             for name, column in self._estimates().items():
                 self._columns[name][-1] = column
@@ -92,15 +103,26 @@ class Recorder:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All columns by their names in ``page/data.js``."""
         walls, marks = self._walls.values(), self._marks.values()
-        pending, plans, cells = (each.values() for each in (self._pending, self._plans, self._cells))
+        pending, plans, cells = (
+            each.values() for each in (self._pending, self._plans, self._cells)
+        )
         self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
         rows, columns = np.array(self.frame_rows), self._columns
         found: dict[str, NDArray[Any]] = {
             "time": np.array(self._time)[rows],
-            **{name: np.array(columns[name], dtype=np.float32) for name in ("pose", "cov", "odometry")},
+            **{
+                name: np.array(columns[name], dtype=np.float32)
+                for name in ("pose", "cov", "odometry")
+            },
             "level": np.array(columns["level"], dtype=np.uint8),
-            **{name: np.array(columns[name], dtype=np.uint16) for name in ("reason", "ranges", "landmarks", "buffers")},
-            **{f"{name}_index": np.array(columns[f"{name}_index"], dtype=np.uint16) for name in ("map", "plan")},
+            **{
+                name: np.array(columns[name], dtype=np.uint16)
+                for name in ("reason", "ranges", "landmarks", "buffers")
+            },
+            **{
+                f"{name}_index": np.array(columns[f"{name}_index"], dtype=np.uint16)
+                for name in ("map", "plan")
+            },
             "frontier_index": np.array(columns["frontier_index"], dtype=np.int32),
             "goal": np.array(columns["goal"], dtype=np.float32),
             "pending": quantised(pending, self.quantum),
@@ -109,7 +131,9 @@ class Recorder:
             "plan_starts": self._plans.starts(),
             "frontier_cells": quantised(cells, self.quantum),
             "frontier_starts": self._cells.starts(),
-            "walls": np.column_stack((quantised(walls[:, :4], self.quantum), walls[:, 4])).astype(np.int16),
+            "walls": np.column_stack((quantised(walls[:, :4], self.quantum), walls[:, 4])).astype(
+                np.int16
+            ),
             "wall_starts": self._walls.starts(),
             "marks": marks[:, :7].astype(np.float32),
             "mark_ends": quantised(marks[:, 7:11], self.quantum),
@@ -127,29 +151,44 @@ class Recorder:
         """All that is no array. Call :meth:`arrays` before."""
         mapper, robot = self._mapper, self._mapper.robot
         return {
-            "robots": len(mapper.poses), "radius": robot.radius, "cell": mapper.config.grid.cell,
-            "quantum": self.quantum, "steps": len(self._time), "stride": self._stride,
+            "robots": len(mapper.poses),
+            "radius": robot.radius,
+            "cell": mapper.config.grid.cell,
+            "quantum": self.quantum,
+            "steps": len(self._time),
+            "stride": self._stride,
             "beams": [
-                {"x": rounded(beam.x), "y": rounded(beam.y), "angle": rounded(beam.angle), "max": beam.max_range,
-                 "side": beam.side}
+                {
+                    "x": rounded(beam.x),
+                    "y": rounded(beam.y),
+                    "angle": rounded(beam.angle),
+                    "max": beam.max_range,
+                    "side": beam.side,
+                }
                 for beam in (robot.beams[index] for index in self._beams.tolist())
             ],
-            "limits": self._mapper.slam.association_limits, "reasons": list(self._reasons),
+            "limits": self._mapper.slam.association_limits,
+            "reasons": list(self._reasons),
             "frontiers": self._frontiers,
             "merges": isinstance(mapper.config.estimator, ConsistentConfig),
             "events": [self._dated(event) for event in self.log.events],
-        }  # fmt: skip
+        }
 
     def _dated(self, event: Event) -> Event:
         """An event with its time instead of its step."""
         row = min(event["row"], len(self._time) - 1)
-        return {"t": rounded(self._time[row], 3), **{name: value for name, value in event.items() if name != "row"}}
+        return {
+            "t": rounded(self._time[row], 3),
+            **{name: value for name, value in event.items() if name != "row"},
+        }
 
     def poses(self) -> FloatArray:
         """Estimated poses (f, n, 3) of the frames, m and rad."""
         return np.array(self._columns["pose"])
 
-    def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
+    def _keep(
+        self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray
+    ) -> None:
         mapper, columns = self._mapper, self._columns
         self.frame_rows.append(self._row)
         for name, column in self._estimates().items():
@@ -174,23 +213,36 @@ class Recorder:
             "cov": mapper.covariances[:, *np.triu_indices(3)],
             "odometry": mapper.odometry,
             "level": [LEVELS.index(status.level) for status in statuses],
-            "reason": [self._reasons.setdefault(status.reason, len(self._reasons)) for status in statuses],
+            "reason": [
+                self._reasons.setdefault(status.reason, len(self._reasons)) for status in statuses
+            ],
         }
 
     def _millimetres(self, ranges: FloatArray) -> NDArray[np.uint16]:
-        """Readings (n, b) in mm; 0 where there is none, and the largest number where nothing was seen."""
+        """Readings (n, b) in mm; 0 where there is none, and the largest number where nothing was
+        seen.
+        """
         robot = self._mapper.robot
         some, most = ranges[:, self._beams], robot.max_ranges[self._beams]
         whole = np.clip(np.rint(np.nan_to_num(some) * _MM), 1, 65534)
         return np.where(np.isnan(some), 0, np.where(some >= most, 65535, whole)).astype(np.uint16)
 
     def _keep_buffers(self, slam: LineSlam) -> None:
-        """Keep the pending points, and of each buffer: its robot, its side, its points, new ones, and its size."""
+        """Keep the pending points, and of each buffer: its robot, its side, its points, new ones,
+        and its size.
+        """
         found = {(each.robot, each.side): each for each in slam.pending_points}
         nothing = PendingPoints(0, "none", no_rows(2), 0, 0)
-        buffers = [found.get((robot, side), nothing) for robot in range(len(self._mapper.poses)) for side in SIDES]
+        buffers = [
+            found.get((robot, side), nothing)
+            for robot in range(len(self._mapper.poses))
+            for side in SIDES
+        ]
         self._columns["buffers"].append(
-            [(len(each.points), len(each.points) if each.new is None else each.new, each.enough) for each in buffers]
+            [
+                (len(each.points), len(each.points) if each.new is None else each.new, each.enough)
+                for each in buffers
+            ]
         )
         self._pending.add(np.concatenate([each.points.reshape(-1, 2) for each in buffers]))
 
@@ -202,7 +254,14 @@ class Recorder:
             owners[list(mark.segments)] = mark.number + 1
         marks = np.array(
             [
-                (mark.number + 1, mark.r, mark.theta, *mark.covariance[np.triu_indices(2)], mark.observations, *ends)
+                (
+                    mark.number + 1,
+                    mark.r,
+                    mark.theta,
+                    *mark.covariance[np.triu_indices(2)],
+                    mark.observations,
+                    *ends,
+                )
                 for mark in every
                 for ends in [mark.ends.ravel()]
             ]
@@ -215,7 +274,9 @@ class Recorder:
         self._columns["map_index"].append(len(self._marks) - 1)
 
     def _keep_plans(self, plans: list[FloatArray]) -> None:
-        """Keep the plan of each robot where one has changed. The plans of a frame follow each other."""
+        """Keep the plan of each robot where one has changed. The plans of a frame follow each
+        other.
+        """
         content = b"|".join(plan.tobytes() for plan in plans)
         if content != self._last_plans or not len(self._plans):
             self._last_plans = content
@@ -230,13 +291,17 @@ class Recorder:
         self._last_goals, self._frontiers_at = goals, self._row
         mapper, found = self._mapper, []
         shown = slice(1) if mapper.is_apart else slice(None)
-        for cells, costs in frontiers_of(mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy):
+        for cells, costs in frontiers_of(
+            mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy
+        ):
             self._cells.add(cells)
             found.append({"cells": len(self._cells) - 1, "costs": costs})
         self._frontiers.append(found)
 
     def _owners(self, rows: NDArray[Any]) -> dict[str, NDArray[Any]]:
-        """The wall (f, n, b) that each reading of a frame was given to, 0 for none, and the step at which it was."""
+        """The wall (f, n, b) that each reading of a frame was given to, 0 for none, and the step at
+        which it was.
+        """
         shape = len(self._time), len(self._mapper.poses), len(self._mapper.robot.beams)
         wall, given = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint32)
         # A live robot may have made several steps since the last one that was noted.
@@ -246,11 +311,16 @@ class Recorder:
             steps, beams = record.readings.T
             steps = noted[np.minimum(steps, len(noted) - 1)]
             steps, beams = steps[steps >= 0], beams[steps >= 0]
-            wall[steps, record.robot, beams], given[steps, record.robot, beams] = record.landmark + 1, row
+            wall[steps, record.robot, beams], given[steps, record.robot, beams] = (
+                record.landmark + 1,
+                row,
+            )
         return {"owner": wall[rows][..., self._beams], "given": given[rows][..., self._beams]}
 
     def _nees(self, true: FloatArray) -> NDArray[np.float32]:
-        """NEES / 3 of each frame and robot (f, n), given the true poses. NaN where the covariance is zero."""
+        """NEES / 3 of each frame and robot (f, n), given the true poses. NaN where the covariance
+        is zero.
+        """
         error = self.poses() - true
         error[..., 2] = wrap_angle(error[..., 2])
         covariances = np.zeros((*error.shape, 3))
@@ -266,7 +336,10 @@ class Recorder:
 def _goals_of(policies: Sequence[Policy] | None, robots: int) -> FloatArray:
     """The goal (n, 2), m, of each robot; NaN for a robot without a goal."""
     goals = [getattr(policy, "goal", None) for policy in policies or ()]
-    return np.array([(np.nan, np.nan) if goal is None else goal for goal in goals or [None] * robots], dtype=float)
+    return np.array(
+        [(np.nan, np.nan) if goal is None else goal for goal in goals or [None] * robots],
+        dtype=float,
+    )
 
 
 _LEAST_DETERMINANT = 1e-30

@@ -47,7 +47,9 @@ def factorise(matrix: FloatArray, size: int) -> None:
 
 @algebra
 def whiten(factor: FloatArray, values: FloatArray, size: int, width: int) -> None:
-    """Replace the first ``size`` rows and ``width`` columns of V by L^-1 V, with the Cholesky factor L."""
+    """Replace the first ``size`` rows and ``width`` columns of V by L^-1 V, with the Cholesky
+    factor L.
+    """
     for i in range(size):
         for k in range(i):
             share = factor[i, k]
@@ -84,7 +86,9 @@ def dot(values: FloatArray, first: int, second: int, size: int) -> float:
 
 @algebra
 def orthonormalise(values: FloatArray, first: int, last: int, size: int) -> None:
-    """Make the columns from ``first`` up to ``last`` orthonormal, in place (Gram-Schmidt, twice)."""
+    """Make the columns from ``first`` up to ``last`` orthonormal, in place (Gram-Schmidt,
+    twice).
+    """
     for column in range(first, last):
         for _ in range(2):
             for other in range(first, column):
@@ -99,7 +103,9 @@ def orthonormalise(values: FloatArray, first: int, last: int, size: int) -> None
 
 @algebra
 def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, size: int) -> None:
-    """Subtract from the columns from ``first`` up to ``last`` their projections on two orthonormal columns."""
+    """Subtract from the columns from ``first`` up to ``last`` their projections on two orthonormal
+    columns.
+    """
     for column in range(first, last):
         a, b = 0.0, 0.0
         for i in range(size):
@@ -116,4 +122,8 @@ def quantile(ordered: FloatArray, size: int, share: float) -> float:
     low = math.floor(place)
     high, part = min(low + 1, size - 1), place - low
     step = float(ordered[high] - ordered[low])
-    return float(ordered[high]) - step * (1.0 - part) if part >= 0.5 else float(ordered[low]) + step * part
+    return (
+        float(ordered[high]) - step * (1.0 - part)
+        if part >= 0.5
+        else float(ordered[low]) + step * part
+    )

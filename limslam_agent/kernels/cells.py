@@ -14,7 +14,9 @@ GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
 StampArray: TypeAlias = NDArray[np.int32]
 
 SKIPPED, CROSSED, ENDED = 0, 1, 2
-"""What happened in a touched cell: nothing that counts, a beam or the body crossed it, or a beam ended in it."""
+"""What happened in a touched cell: nothing that counts, a beam or the body crossed it, or a beam
+ended in it.
+"""
 
 _ANGLES = np.arange(8) * (np.pi / 4)
 
@@ -24,14 +26,19 @@ BODY = np.vstack((np.zeros((1, 2)), 0.7 * np.column_stack((np.cos(_ANGLES), np.s
 
 @compiled
 def touched_cells(
-    pose: FloatArray, ranges: FloatArray | ReadingArray, measured: BoolArray, beams: FloatArray, radius: float,
+    pose: FloatArray,
+    ranges: FloatArray | ReadingArray,
+    measured: BoolArray,
+    beams: FloatArray,
+    radius: float,
     cell: float,
-) -> IntArray:  # fmt: skip
+) -> IntArray:
     """The cells of the world that the beams and the body of a robot touch.
 
-    The robot is at a pose (3,), and those of its readings (b,), m, count that were ``measured``. ``beams`` is
-    ``RobotSpec.beam_table``. Cells (n, 3) are row and column, counted from the world's origin, and ``CROSSED`` or
-    ``ENDED``. They may repeat, and those in which a beam ended come first.
+    The robot is at a pose (3,), and those of its readings (b,), m, count that were ``measured``.
+    ``beams`` is ``RobotSpec.beam_table``. Cells (n, 3) are row and column, counted from the world's
+    origin, and ``CROSSED`` or ``ENDED``. They may repeat, and those in which a beam ended come
+    first.
     """
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     spacing, most = 0.5 * cell, len(BODY)
@@ -41,7 +48,8 @@ def touched_cells(
     cells, size, samples = np.empty((most, 3), dtype=np.int64), 0, np.empty((2, most))
     for beam in range(len(ranges)):
         length = float(ranges[beam])
-        # A reading at the minimum says that something is near, or that the sensor is dirty, but not where.
+        # A reading at the minimum says that something is near, or that the sensor is dirty, but not
+        # where.
         if measured[beam] and beams[beam, TOO_NEAR] < length < beams[beam, TOO_FAR]:
             px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
             py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
@@ -65,7 +73,11 @@ def touched_cells(
             # Samples are half a cell apart, so that many lie in the same cell as the one before.
             if i and samples[0, i] == samples[0, i - 1] and samples[1, i] == samples[1, i - 1]:
                 continue
-            cells[size, 0], cells[size, 1], cells[size, 2] = int(samples[0, i]), int(samples[1, i]), CROSSED
+            cells[size, 0], cells[size, 1], cells[size, 2] = (
+                int(samples[0, i]),
+                int(samples[1, i]),
+                CROSSED,
+            )
             size += 1
     for k in range(len(BODY)):
         cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)
@@ -77,13 +89,20 @@ def touched_cells(
 
 @compiled
 def change_cells(
-    values: GridArray, cells: IntArray, stamps: StampArray, stamp: int, seen_through: int, hit: int, limit: int
+    values: GridArray,
+    cells: IntArray,
+    stamps: StampArray,
+    stamp: int,
+    seen_through: int,
+    hit: int,
+    limit: int,
 ) -> None:
     """Change the values of touched cells, each of them once, however many beams touch it.
 
-    ``seen_through`` is added to the values (rows, columns) where a beam crossed, ``hit`` is subtracted where one ended,
-    and ``limit`` is the largest absolute value. Of a cell that repeats, the first row counts. ``stamps`` (rows,
-    columns) is scratch, and ``stamp`` a number that it does not contain yet.
+    ``seen_through`` is added to the values (rows, columns) where a beam crossed, ``hit`` is
+    subtracted where one ended, and ``limit`` is the largest absolute value. Of a cell that repeats,
+    the first row counts. ``stamps`` (rows, columns) is scratch, and ``stamp`` a number that it does
+    not contain yet.
     """
     for i in range(len(cells)):
         row, column = cells[i, 0], cells[i, 1]
@@ -98,22 +117,35 @@ def change_cells(
 
 @compiled
 def include(touched: IntArray, column: int, row: int) -> None:
-    """Extend the first column and row that are touched, and those after the last ones (2, 2), to one more cell."""
+    """Extend the first column and row that are touched, and those after the last ones (2, 2), to
+    one more cell.
+    """
     touched[0, 0], touched[0, 1] = min(touched[0, 0], column), min(touched[0, 1], row)
     touched[1, 0], touched[1, 1] = max(touched[1, 0], column + 1), max(touched[1, 1], row + 1)
 
 
 @entry
 def update_grid(
-    pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray, radius: float, cell: float,
-    values: GridArray, corner: IntArray, rules: IntArray, stamps: StampArray, stamp: int, touched: IntArray,
-) -> bool:  # fmt: skip
+    pose: FloatArray,
+    ranges: FloatArray,
+    measured: BoolArray,
+    beams: FloatArray,
+    radius: float,
+    cell: float,
+    values: GridArray,
+    corner: IntArray,
+    rules: IntArray,
+    stamps: StampArray,
+    stamp: int,
+    touched: IntArray,
+) -> bool:
     """Update a grid by one step's readings, if it holds all cells that they touch; whether it does.
 
-    The first arguments are those of :func:`touched_cells`, and the last ones those of :func:`change_cells`. The first
-    of the cells has the column and row ``corner`` (2,), counted from the world's origin, and ``rules`` (3,) are what is
-    added, what is subtracted, and the largest absolute value. ``touched`` (2, 2) is set to the first column and row
-    that are touched, and to those after the last ones.
+    The first arguments are those of :func:`touched_cells`, and the last ones those of
+    :func:`change_cells`. The first of the cells has the column and row ``corner`` (2,), counted
+    from the world's origin, and ``rules`` (3,) are what is added, what is subtracted, and the
+    largest absolute value. ``touched`` (2, 2) is set to the first column and row that are touched,
+    and to those after the last ones.
     """
     cells = touched_cells(pose, ranges, measured, beams, radius, cell)
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
@@ -127,10 +159,15 @@ def update_grid(
             px = beams[beam, FROM_X] + ranges[beam] * beams[beam, TOWARDS_X]
             py = beams[beam, FROM_Y] + ranges[beam] * beams[beam, TOWARDS_Y]
             include(
-                touched, math.floor((px * cos - py * sin + x) / cell), math.floor((px * sin + py * cos + y) / cell)
-            )  # fmt: skip
+                touched,
+                math.floor((px * cos - py * sin + x) / cell),
+                math.floor((px * sin + py * cos + y) / cell),
+            )
     for axis in range(2):
-        if touched[0, axis] < corner[axis] or touched[1, axis] > corner[axis] + values.shape[1 - axis]:
+        if (
+            touched[0, axis] < corner[axis]
+            or touched[1, axis] > corner[axis] + values.shape[1 - axis]
+        ):
             return False
     for i in range(len(cells)):
         cells[i, 0] -= corner[1]

@@ -1,4 +1,6 @@
-"""How the kernels of a step are compiled: the decorators of ``limslam_env.compilation``, for these sources."""
+"""How the kernels of a step are compiled: the decorators of ``limslam_env.compilation``, for these
+sources.
+"""
 
 from limslam_env.compilation import algebra, compiled, entry_of
 

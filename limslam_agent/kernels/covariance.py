@@ -1,12 +1,14 @@
-"""How the state and the covariance of the filter of poses, lines and clones change, in arrays that have room.
+"""How the state and the covariance of the filter of poses, lines and clones change, in arrays that
+have room.
 
-``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the literature. The state
-has the first ``size`` places of its arrays. ``begins`` says where its parts begin: the end of the poses, the first
-line, and the first clone.
+``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the
+literature. The state has the first ``size`` places of its arrays. ``begins`` says where its parts
+begin: the end of the poses, the first line, and the first clone.
 
-Of the symmetric P, the first ``whole`` rows, those of the poses, are kept whole. Of each other row, only the part from
-the column ``whole`` to the diagonal is kept, so that an update and a marginalisation touch half of the memory: P of
-many robots does not fit the processor's cache. What lies elsewhere in P is not read until :func:`mirror` has set it.
+Of the symmetric P, the first ``whole`` rows, those of the poses, are kept whole. Of each other row,
+only the part from the column ``whole`` to the diagonal is kept, so that an update and a
+marginalisation touch half of the memory: P of many robots does not fit the processor's cache. What
+lies elsewhere in P is not read until :func:`mirror` has set it.
 """
 
 import math
@@ -32,20 +34,33 @@ def mirror(P: FloatArray, size: int, whole: int) -> None:
 
 @lean_entry
 def move_pose(
-    x: FloatArray, P: FloatArray, size: int, at: int, increment: FloatArray, covariance: FloatArray,
-    by_pose: FloatArray, by_increment: FloatArray, whole: int,
-) -> None:  # fmt: skip
-    """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its frame, m, m, rad.
+    x: FloatArray,
+    P: FloatArray,
+    size: int,
+    at: int,
+    increment: FloatArray,
+    covariance: FloatArray,
+    by_pose: FloatArray,
+    by_increment: FloatArray,
+    whole: int,
+) -> None:
+    """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its
+    frame, m, m, rad.
 
-    The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to
-    the derivatives of the new pose.
+    The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold
+    zeros, are set to the derivatives of the new pose.
     """
     cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
     ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
     for k in range(POSE):
         by_pose[k, k] = 1.0
     by_pose[0, 2], by_pose[1, 2] = -left, ahead
-    by_increment[0, 0], by_increment[0, 1], by_increment[1, 0], by_increment[1, 1] = cos, -sin, sin, cos
+    by_increment[0, 0], by_increment[0, 1], by_increment[1, 0], by_increment[1, 1] = (
+        cos,
+        -sin,
+        sin,
+        cos,
+    )
     by_increment[2, 2] = 1.0
     x[at], x[at + 1], x[at + 2] = x[at] + ahead, x[at + 1] + left, wrapped(x[at + 2] + increment[2])
     for j in range(size):
@@ -65,7 +80,9 @@ def move_pose(
 
 
 @lean_entry
-def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, whole: int, at: int) -> None:
+def copy_pose(
+    x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, whole: int, at: int
+) -> None:
     """Append a copy of the pose that begins at the index ``at`` to a state of a size."""
     for k in range(POSE):
         x[size + k] = x[at + k]
@@ -83,11 +100,18 @@ def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, wh
 
 @lean_entry
 def keep_states(
-    x: FloatArray, P: FloatArray, by_errors: FloatArray, whole: int, is_kept: BoolArray, kept: IntArray
-) -> None:  # fmt: skip
-    """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors have n rows.
+    x: FloatArray,
+    P: FloatArray,
+    by_errors: FloatArray,
+    whole: int,
+    is_kept: BoolArray,
+    kept: IntArray,
+) -> None:
+    """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors
+    have n rows.
 
-    ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move together.
+    ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move
+    together.
     """
     size, first = 0, len(is_kept)
     for place in range(len(is_kept)):
@@ -115,7 +139,9 @@ def keep_states(
 
 @entry
 def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
-    """Block (k, k) of a covariance: its rows and columns ``columns`` (k,), which are of no pose but the first one."""
+    """Block (k, k) of a covariance: its rows and columns ``columns`` (k,), which are of no pose but
+    the first one.
+    """
     block = np.empty((len(columns), len(columns)))
     for i in range(len(columns)):
         for j in range(len(columns)):
@@ -142,9 +168,14 @@ def dense_rows(P: FloatArray, size: int, whole: int, columns: IntArray) -> Float
 
 @algebra
 def change_of_transport(
-    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int, before: FloatArray,
+    x: FloatArray,
+    size: int,
+    begins: tuple[int, int, int],
+    anchors: FloatArray,
+    num_lines: int,
+    before: FloatArray,
     out: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Set ``out`` (size, 3) to what ``fill_transport`` finds, less what it found ``before``."""
     fill_transport(x, size, begins, anchors, num_lines, out)
     for j in range(size):
@@ -154,17 +185,28 @@ def change_of_transport(
 
 @algebra
 def transport_pose(P: FloatArray, moved: FloatArray, out: FloatArray) -> None:
-    """The first pose's rows of P (3, size) after its error is transported by ``moved`` (size, 3)."""
+    """The first pose's rows of P (3, size) after its error is transported by ``moved`` (size,
+    3).
+    """
     for k in range(POSE):
         for j in range(len(moved)):
-            out[k, j] = P[k, j] + P[k, 0] * moved[j, 0] + P[k, 1] * moved[j, 1] + P[k, 2] * moved[j, 2]
+            out[k, j] = (
+                P[k, j] + P[k, 0] * moved[j, 0] + P[k, 1] * moved[j, 1] + P[k, 2] * moved[j, 2]
+            )
 
 
 @algebra
 def transport_rows(
-    P: FloatArray, rows: FloatArray, columns: IntArray, moved: FloatArray, pose: FloatArray, out: FloatArray
+    P: FloatArray,
+    rows: FloatArray,
+    columns: IntArray,
+    moved: FloatArray,
+    pose: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """Some rows of P after its error is transported by ``moved``; ``pose`` has those of the first pose after it."""
+    """Some rows of P after its error is transported by ``moved``; ``pose`` has those of the first
+    pose after it.
+    """
     size = len(moved)
     across = np.empty((POSE, size))
     for k in range(POSE):
@@ -176,9 +218,13 @@ def transport_rows(
         d, e, f = P[0, column], P[1, column], P[2, column]
         for j in range(size):
             out[i, j] = rows[i, j] + (
-                a * pose[0, j] + b * pose[1, j] + c * pose[2, j]
-                + d * across[0, j] + e * across[1, j] + f * across[2, j]
-            )  # fmt: skip
+                a * pose[0, j]
+                + b * pose[1, j]
+                + c * pose[2, j]
+                + d * across[0, j]
+                + e * across[1, j]
+                + f * across[2, j]
+            )
 
 
 @algebra
@@ -189,29 +235,43 @@ def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray)
         for k in range(rank):
             for j in range(size):
                 P[0, j] += left[k, 0] * right[k, j]
-    # Two rows at once, so that what is loaded of ``right`` is used twice. The first of them is updated one place beyond
-    # the diagonal, which is not read.
+    # Two rows at once, so that what is loaded of ``right`` is used twice. The first of them is
+    # updated one place beyond the diagonal, which is not read.
     for i in range(size % 2, size, 2):
         row, other, end = P[i], P[i + 1], size if i < whole else i + 2
         for k in range(0, rank, 4):
             a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
             e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
             for j in range(end):
-                one, two, three, four = right[k, j], right[k + 1, j], right[k + 2, j], right[k + 3, j]
+                one, two, three, four = (
+                    right[k, j],
+                    right[k + 1, j],
+                    right[k + 2, j],
+                    right[k + 3, j],
+                )
                 row[j] += a * one + b * two + c * three + d * four
                 other[j] += e * one + f * two + g * three + h * four
 
 
 @entry
 def correct_state(
-    x: FloatArray, P: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int,
-    moved: FloatArray, W: FloatArray, change: FloatArray,
-) -> FloatArray:  # fmt: skip
-    """Finish an update: transport the error of P to where W was found, subtract W^T W, and change the state.
+    x: FloatArray,
+    P: FloatArray,
+    size: int,
+    begins: tuple[int, int, int],
+    anchors: FloatArray,
+    num_lines: int,
+    moved: FloatArray,
+    W: FloatArray,
+    change: FloatArray,
+) -> FloatArray:
+    """Finish an update: transport the error of P to where W was found, subtract W^T W, and change
+    the state.
 
-    Then the error is transported to the changed state. With ``moved`` M (size, 3), the first pose's rows A of P, and
-    their first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. The two transports are one by
-    the sum of both M, if W (m, size) is transported by the second M. So all is one product of two matrices.
+    Then the error is transported to the changed state. With ``moved`` M (size, 3), the first pose's
+    rows A of P, and their first three columns B, a transport replaces P by P + M (A + B M^T) + A^T
+    M^T. The two transports are one by the sum of both M, if W (m, size) is transported by the
+    second M. So all is one product of two matrices.
 
     Returns
     -------
@@ -231,7 +291,9 @@ def correct_state(
             both[j, k] = moved[j, k] + after[j, k]
     for r in range(rank):
         for j in range(size):
-            right[r, j] = W[r, j] + W[r, 0] * after[j, 0] + W[r, 1] * after[j, 1] + W[r, 2] * after[j, 2]
+            right[r, j] = (
+                W[r, j] + W[r, 0] * after[j, 0] + W[r, 1] * after[j, 1] + W[r, 2] * after[j, 2]
+            )
             left[r, j] = -right[r, j]
     transport_pose(P, both, right[rank : rank + POSE])
     for k in range(POSE):

@@ -1,7 +1,9 @@
-"""Counts of beams that ended on landmarks, and of beams that passed through them, in ``tables.Walls``.
+"""Counts of beams that ended on landmarks, and of beams that passed through them, in
+``tables.Walls``.
 
-A landmark's extent consists of bins along its line. A bin where more beams passed than ended is not drawn as wall. So a
-doorway that was drawn as wall by mistake is removed again, and so is a wall that never existed.
+A landmark's extent consists of bins along its line. A bin where more beams passed than ended is not
+drawn as wall. So a doorway that was drawn as wall by mistake is removed again, and so is a wall
+that never existed.
 
 All but the clearing along beams is rare and therefore plain; the batch compiles these functions.
 """
@@ -75,7 +77,9 @@ def reach(walls: Walls, index: int, place: int) -> int:
 
 
 def note_hit(walls: Walls, index: int, place: int, first: float, last: float) -> None:
-    """Note that the hits in a bin lie between two positions, m along the line, and perhaps farther apart."""
+    """Note that the hits in a bin lie between two positions, m along the line, and perhaps farther
+    apart.
+    """
     reached, ends = walls.reached[index], walls.ends[index]
     reached[LEAST, place] = min(reached[LEAST, place], first)
     reached[MOST, place] = max(reached[MOST, place], last)
@@ -83,7 +87,9 @@ def note_hit(walls: Walls, index: int, place: int, first: float, last: float) ->
 
 
 def count_hits(walls: Walls, index: int, along: FloatArray) -> None:
-    """Count beams that ended on a landmark at positions (n,), m along the line, and that corrected the filter."""
+    """Count beams that ended on a landmark at positions (n,), m along the line, and that corrected
+    the filter.
+    """
     for position in along:
         place = reach(walls, index, math.floor(position / BIN))
         if place >= 0:
@@ -98,16 +104,20 @@ def count_hits(walls: Walls, index: int, along: FloatArray) -> None:
 def pass_at(walls: Walls, index: int, position: float) -> None:
     """Count a beam that passed at a position, m; only positions between the ends count."""
     if walls.ends[index, LEAST] < position < walls.ends[index, MOST]:
-        # Bins that were taken over from another wall may lie up to half a bin outside the exact ends.
+        # Bins that were taken over from another wall may lie up to half a bin outside the exact
+        # ends.
         place = math.floor(position / BIN) - walls.table[index, LOW]
         walls.counted[index, MISSES, min(max(place, 0), walls.table[index, LENGTH] - 1)] += 1
         walls.table[index, CHANGES] += 1
 
 
-def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: float, count: int) -> None:
+def merge_walls(
+    walls: Walls, older: int, younger: int, factor: float, shift: float, count: int
+) -> None:
     """Merge two of ``count`` landmarks into the older one, and remove the younger one.
 
-    A position s along the younger one is ``factor`` (1 or -1) times s plus ``shift``, m, along the older one.
+    A position s along the younger one is ``factor`` (1 or -1) times s plus ``shift``, m, along the
+    older one.
     """
     for column in (GROUPS, READINGS):
         walls.table[older, column] += walls.table[younger, column]
@@ -133,14 +143,24 @@ def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: fl
 
 @lean_entry
 def clear_along_beams(
-    walls: Walls, x: FloatArray, covariance: FloatArray, counts: IntArray, anchors: FloatArray, at: int,
-    ranges: FloatArray, measured: BoolArray, beams: FloatArray, noise: tuple[float, float], rays: FloatArray,
-) -> None:  # fmt: skip
+    walls: Walls,
+    x: FloatArray,
+    covariance: FloatArray,
+    counts: IntArray,
+    anchors: FloatArray,
+    at: int,
+    ranges: FloatArray,
+    measured: BoolArray,
+    beams: FloatArray,
+    noise: tuple[float, float],
+    rays: FloatArray,
+) -> None:
     """Count the places of landmarks that a robot's new beams have passed through.
 
-    The lines and the robot's pose, which begins at the index ``at``, are those of a ``Filter``. ``beams`` is
-    ``RobotSpec.beam_table``, and ``noise`` the standard deviation of a short range, m, and the growth of
-    ``RangeSensor``. ``rays`` (b, 6) is scratch: origin, direction, length, m, and margin, m, of the beams that count.
+    The lines and the robot's pose, which begins at the index ``at``, are those of a ``Filter``.
+    ``beams`` is ``RobotSpec.beam_table``, and ``noise`` the standard deviation of a short range, m,
+    and the growth of ``RangeSensor``. ``rays`` (b, 6) is scratch: origin, direction, length, m, and
+    margin, m, of the beams that count.
     """
     pose, unsure = x[at : at + POSE], covariance[at, at] + covariance[at + 1, at + 1]
     turned = covariance[at + 2, at + 2]
@@ -150,11 +170,19 @@ def clear_along_beams(
             far, heading = min(ranges[beam], beams[beam, FARTHEST]), pose[2] + beams[beam, ANGLE]
             rays[count, 0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
             rays[count, 1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
-            rays[count, 2], rays[count, 3], grown = math.cos(heading), math.sin(heading), noise[1] * far * far
+            rays[count, 2], rays[count, 3], grown = (
+                math.cos(heading),
+                math.sin(heading),
+                noise[1] * far * far,
+            )
             margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + unsure + turned * far**2)
             rays[count, 4], rays[count, 5], count = far - THROUGH_SLACK, margin, count + 1
     for index in range(counts[LINES]):
-        line, low, high = counts[LINES_FROM] + 2 * index, walls.ends[index, LEAST], walls.ends[index, MOST]
+        line, low, high = (
+            counts[LINES_FROM] + 2 * index,
+            walls.ends[index, LEAST],
+            walls.ends[index, MOST],
+        )
         nx, ny = math.cos(x[line + 1]), math.sin(x[line + 1])
         for ray in range(count):
             ux, uy = rays[ray, 2], rays[ray, 3]

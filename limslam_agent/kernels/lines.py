@@ -1,7 +1,8 @@
 """Lines in points: the Hough transform finds them, and total least squares refines them.
 
-The Hough transform is that of R. Duda and P. Hart, "Use of the Hough transformation to detect lines and curves in
-pictures", 1972, with the arithmetic of OpenCV's ``HoughLinesPointSet``, which is partly in single precision.
+The Hough transform is that of R. Duda and P. Hart, "Use of the Hough transformation to detect lines
+and curves in pictures", 1972, with the arithmetic of OpenCV's ``HoughLinesPointSet``, which is
+partly in single precision.
 """
 
 import math
@@ -27,7 +28,8 @@ def num_angles(step: float) -> int:
 def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: float) -> FloatArray:
     """Lines (k, 2) as (r, theta), m and rad, that enough points (n, 2), m, vote for, best first.
 
-    Bins have a size of ``r_step``, m, by ``theta_step``, rad; r may be negative, and theta is in [0, pi).
+    Bins have a size of ``r_step``, m, by ``theta_step``, rad; r may be negative, and theta is in
+    [0, pi).
     """
     single, step = np.float32, r_step
     reach = 0.0
@@ -40,7 +42,11 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
     counts, wide = np.zeros((angles + 2) * (bins + 2), dtype=np.int32), bins + 2
     most = len(points) * angles // max(min_votes, 1)
     found, size, angle = np.empty(most, dtype=np.int64), 0, single(0.0)
-    xs, ys, places = points[:, 0].astype(single), points[:, 1].astype(single), np.empty(len(points), dtype=np.int32)
+    xs, ys, places = (
+        points[:, 0].astype(single),
+        points[:, 1].astype(single),
+        np.empty(len(points), dtype=np.int32),
+    )
     for n in range(angles):
         cos = single(math.cos(float(angle)) * float(inverse))
         sin = single(math.sin(float(angle)) * float(inverse))
@@ -60,8 +66,13 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
 
 @compiled
 def peaks(
-    counts: np.ndarray, wide: int, found: IntArray, low: np.float32, r_step: float, theta_step: float
-) -> FloatArray:  # fmt: skip
+    counts: np.ndarray,
+    wide: int,
+    found: IntArray,
+    low: np.float32,
+    r_step: float,
+    theta_step: float,
+) -> FloatArray:
     """Lines (k, 2) of those bins that have more votes than their neighbours."""
     keys, places, size = np.empty(len(found)), np.empty(len(found), dtype=np.int64), 0
     for place in found:
@@ -88,7 +99,9 @@ def peaks(
 
 @entry
 def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float, float]:
-    """(r, theta), normalised, of the line through some points by total least squares; fills its ends (2, 2), m."""
+    """(r, theta), normalised, of the line through some points by total least squares; fills its
+    ends (2, 2), m.
+    """
     middle_x, middle_y, number = 0.0, 0.0, len(members)
     for i in members:
         middle_x += points[i, 0]
@@ -111,7 +124,9 @@ def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[f
 
 
 @compiled
-def near_line(points: FloatArray, free: np.ndarray, r: float, theta: float, most: float) -> IntArray:
+def near_line(
+    points: FloatArray, free: np.ndarray, r: float, theta: float, most: float
+) -> IntArray:
     """Indices (n,) of the free points within ``most``, m, of a line."""
     chosen, size = np.empty(len(points), dtype=np.int64), 0
     cos, sin = math.cos(theta), math.sin(theta)
@@ -124,9 +139,15 @@ def near_line(points: FloatArray, free: np.ndarray, r: float, theta: float, most
 
 @compiled
 def refined(
-    points: FloatArray, free: np.ndarray, r: float, theta: float, limits: tuple[float, float], votes: int
-) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """Indices (n,) of a candidate line's points after two refinements, and their positions along it, m, sorted.
+    points: FloatArray,
+    free: np.ndarray,
+    r: float,
+    theta: float,
+    limits: tuple[float, float],
+    votes: int,
+) -> tuple[IntArray, FloatArray]:
+    """Indices (n,) of a candidate line's points after two refinements, and their positions along
+    it, m, sorted.
 
     Points belong to it within the first of the ``limits``, m, and then within the second one.
     """
@@ -146,14 +167,24 @@ def refined(
 
 @compiled
 def refine_lines(
-    points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
-    only_best: bool, owner: IntArray, lines: FloatArray, ends: FloatArray,
-) -> int:  # fmt: skip
+    points: FloatArray,
+    candidates: FloatArray,
+    limits: tuple[float, float],
+    votes: int,
+    gap: float,
+    least: float,
+    only_best: bool,
+    owner: IntArray,
+    lines: FloatArray,
+    ends: FloatArray,
+) -> int:
     """Refine candidate lines on their points, and cut them at gaps; the number k of lines.
 
-    The candidates are (r, theta) about the mean of the points (n, 2), best first. ``limits`` and ``votes`` are those of
-    :func:`refined`, ``gap`` is the longest gap in a line, and ``least`` its least length, m. Set are the ``owner`` of
-    each point (n,), -1 for none, the ``lines`` (k, 2) as (r, theta), and their ``ends`` (k, 2, 2), m.
+    The candidates are (r, theta) about the mean of the points (n, 2), best first. ``limits`` and
+    ``votes`` are those of
+    :func:`refined`, ``gap`` is the longest gap in a line, and ``least`` its least length, m. Set
+    are the ``owner`` of each point (n,), -1 for none, the ``lines`` (k, 2) as (r, theta), and their
+    ``ends`` (k, 2, 2), m.
     """
     total, size, middle_x, middle_y = len(points), 0, 0.0, 0.0
     for i in range(total):
@@ -190,19 +221,27 @@ def refine_lines(
 
 @entry
 def extract_lines(
-    points: FloatArray, max_gap: float, min_votes: int, r_step: float, theta_step: float, near_line: float,
-    least: float, only_best: bool,
-) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    points: FloatArray,
+    max_gap: float,
+    min_votes: int,
+    r_step: float,
+    theta_step: float,
+    near_line: float,
+    least: float,
+    only_best: bool,
+) -> tuple[IntArray, FloatArray, FloatArray]:
     """The lines in a buffer of points (n, 2), m, best first, cut at gaps.
 
-    Each point belongs to at most one line. The points of a line are removed, and the remaining points of a weaker
-    candidate must still pass the threshold. So one wall cannot appear twice, neither in neighbouring bins nor across
-    theta = 0, where (r, theta) and (-r, theta + pi) are the same line.
+    Each point belongs to at most one line. The points of a line are removed, and the remaining
+    points of a weaker candidate must still pass the threshold. So one wall cannot appear twice,
+    neither in neighbouring bins nor across theta = 0, where (r, theta) and (-r, theta + pi) are the
+    same line.
 
     Parameters
     ----------
     max_gap, near_line, least
-        Longest gap in a line, largest distance of a point from its line, and least length of a line, m.
+        Longest gap in a line, largest distance of a point from its line, and least length of a
+        line, m.
     min_votes, r_step, theta_step
         Threshold, and sizes of the bins, m and rad.
     only_best
@@ -211,7 +250,8 @@ def extract_lines(
     Returns
     -------
     owner, lines, ends
-        The line of each point (n,), -1 for none, the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m.
+        The line of each point (n,), -1 for none, the lines (k, 2) as (r, theta), and their end
+        points (k, 2, 2), m.
     """
     total, about, owner = len(points), points.copy(), np.full(len(points), -1)
     most = total // max(min_votes, 1) + 1
@@ -223,5 +263,7 @@ def extract_lines(
     about[:, 1] -= points[:, 1].sum() / total
     candidates = hough_votes(about, min_votes, r_step, theta_step)
     limits = r_step, near_line
-    number = refine_lines(points, candidates, limits, min_votes, max_gap, least, only_best, owner, lines, ends)
+    number = refine_lines(
+        points, candidates, limits, min_votes, max_gap, least, only_best, owner, lines, ends
+    )
     return owner, lines[:number], ends[:number]

@@ -1,18 +1,22 @@
 """Measurement model of a range beam that meets a line, and how errors move with the world.
 
 A line is stored as (d, theta) relative to an anchor a, a fixed point of the world near the line:
-n . (p - a) = d with n = (cos theta, sin theta). This form has three advantages over (r, theta) relative to the world's
-origin: d and theta are nearly uncorrelated, d may change its sign, and lines through the origin are not singular.
+n . (p - a) = d with n = (cos theta, sin theta). This form has three advantages over (r, theta)
+relative to the world's origin: d and theta are nearly uncorrelated, d may change its sign, and
+lines through the origin are not singular.
 
-A beam may be a cone with half an opening angle c. It then reads the nearest point of the wall inside the cone. That is
-the foot of the perpendicular if the cone contains it, and otherwise the end of the border ray that is nearer to the
-perpendicular (J. Leonard and H. Durrant-Whyte, "Directed sonar sensing for mobile robot navigation", 1992). So a cone
-measures what a ray measures that is turned towards the wall's normal, by c or until it is perpendicular to the wall.
-The derivatives are those of this ray, too: where it follows the normal, its range does not depend on its direction.
+A beam may be a cone with half an opening angle c. It then reads the nearest point of the wall
+inside the cone. That is the foot of the perpendicular if the cone contains it, and otherwise the
+end of the border ray that is nearer to the perpendicular (J. Leonard and H. Durrant-Whyte,
+"Directed sonar sensing for mobile robot navigation", 1992). So a cone measures what a ray measures
+that is turned towards the wall's normal, by c or until it is perpendicular to the wall. The
+derivatives are those of this ray, too: where it follows the normal, its range does not depend on
+its direction.
 
-Readings come as ``places`` (n,), the places of their clones in the state, and ``readings`` (n, 6): the beam's origin x,
-y in the robot's frame (m), its direction (rad), its range (m), half its opening angle (rad), and the number of the
-beam. The clones begin in the state ``x`` at the index ``start``.
+Readings come as ``places`` (n,), the places of their clones in the state, and ``readings`` (n, 6):
+the beam's origin x, y in the robot's frame (m), its direction (rad), its range (m), half its
+opening angle (rad), and the number of the beam. The clones begin in the state ``x`` at the index
+``start``.
 """
 
 import math
@@ -26,9 +30,11 @@ from limslam_env.geometry import FloatArray, IntArray
 
 @compiled
 def read_share(cosine: float, width: float) -> float:
-    """The share of its distance that a wall reads, given the cosine between the beam and the wall's normal.
+    """The share of its distance that a wall reads, given the cosine between the beam and the wall's
+    normal.
 
-    The beam has half an opening angle ``width``, rad. It reads the nearest point of the wall inside of it.
+    The beam has half an opening angle ``width``, rad. It reads the nearest point of the wall inside
+    of it.
     """
     if width == 0.0:
         return 1.0
@@ -39,7 +45,8 @@ def read_share(cosine: float, width: float) -> float:
 
 @algebra
 def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
-    """Direction in the robot's frame, rad, of the ray that measures a line with its normal at ``theta`` as a beam does.
+    """Direction in the robot's frame, rad, of the ray that measures a line with its normal at
+    ``theta`` as a beam does.
 
     ``heading``, rad, is that of the pose that the reading was taken from.
     """
@@ -52,13 +59,19 @@ def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
 
 @algebra
 def predict_ranges(
-    x: FloatArray, start: int, places: IntArray, readings: FloatArray, chosen: IntArray, line: tuple[float, float],
-    anchor: tuple[float, float], out: FloatArray,
-) -> None:  # fmt: skip
+    x: FloatArray,
+    start: int,
+    places: IntArray,
+    readings: FloatArray,
+    chosen: IntArray,
+    line: tuple[float, float],
+    anchor: tuple[float, float],
+    out: FloatArray,
+) -> None:
     """Predict the ranges of those readings that are ``chosen`` (k,), whose beams meet a line.
 
-    ``line`` is (d, theta), m and rad, about an ``anchor``, m. ``out`` (k, 7) is filled: range, derivatives by pose (3)
-    and by line (2), and cosine between beam and normal.
+    ``line`` is (d, theta), m and rad, about an ``anchor``, m. ``out`` (k, 7) is filled: range,
+    derivatives by pose (3) and by line (2), and cosine between beam and normal.
     """
     nx, ny = math.cos(line[1]), math.sin(line[1])
     for i in range(len(chosen)):
@@ -83,8 +96,12 @@ def predict_ranges(
 
 
 @algebra
-def end_of_beam(x: FloatArray, at: int, reading: FloatArray, angle: float, reach: float) -> tuple[float, float]:
-    """End point, m, of a ray at ``angle``, rad, with a range, m, from the pose that begins in the state at ``at``."""
+def end_of_beam(
+    x: FloatArray, at: int, reading: FloatArray, angle: float, reach: float
+) -> tuple[float, float]:
+    """End point, m, of a ray at ``angle``, rad, with a range, m, from the pose that begins in the
+    state at ``at``.
+    """
     cos, sin, heading = math.cos(x[at + 2]), math.sin(x[at + 2]), x[at + 2] + angle
     return (
         x[at] + (cos * reading[0] - sin * reading[1]) + reach * math.cos(heading),
@@ -94,11 +111,18 @@ def end_of_beam(x: FloatArray, at: int, reading: FloatArray, angle: float, reach
 
 @algebra
 def fill_transport(
-    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int, out: FloatArray
+    x: FloatArray,
+    size: int,
+    begins: tuple[int, int, int],
+    anchors: FloatArray,
+    num_lines: int,
+    out: FloatArray,
 ) -> None:
-    """Derivative (size, 3) of the state by the first robot's pose when robot and world move together rigidly.
+    """Derivative (size, 3) of the state by the first robot's pose when robot and world move
+    together rigidly.
 
-    ``begins`` says where the poses end in the state, and where lines and clones begin. ``out`` is filled.
+    ``begins`` says where the poses end in the state, and where lines and clones begin. ``out`` is
+    filled.
     """
     poses_end, first, clones_from = begins
     out[:size] = 0.0
@@ -128,8 +152,12 @@ def error_transport(
 
 
 @entry
-def ends_of_beams(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
-    """End points (n, 2), m, of readings on a line with its normal at ``theta``, rad; of the middle of beams if NaN."""
+def ends_of_beams(
+    x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float
+) -> FloatArray:
+    """End points (n, 2), m, of readings on a line with its normal at ``theta``, rad; of the middle
+    of beams if NaN.
+    """
     points = np.empty((len(places), 2))
     for i in range(len(places)):
         at, angle = start + POSE * places[i], readings[i, 2]

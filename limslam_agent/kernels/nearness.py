@@ -3,7 +3,16 @@
 import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
+from limslam_agent.kernels.tables import (
+    ANGLE,
+    FARTHEST,
+    FROM_X,
+    FROM_Y,
+    TOO_FAR,
+    TOO_NEAR,
+    TOWARDS_X,
+    TOWARDS_Y,
+)
 from limslam_env.geometry import BoolArray, FloatArray
 
 
@@ -11,7 +20,9 @@ from limslam_env.geometry import BoolArray, FloatArray
 def beam_end(
     pose: FloatArray, cos: float, sin: float, beams: FloatArray, beam: int, reach: float
 ) -> tuple[float, float]:
-    """The point of the world, m, that a beam reaches after ``reach`` (m), from a pose with this cosine and sine."""
+    """The point of the world, m, that a beam reaches after ``reach`` (m), from a pose with this
+    cosine and sine.
+    """
     x = beams[beam, FROM_X] + reach * beams[beam, TOWARDS_X]
     y = beams[beam, FROM_Y] + reach * beams[beam, TOWARDS_Y]
     return x * cos - y * sin + pose[0], x * sin + y * cos + pose[1]
@@ -19,9 +30,15 @@ def beam_end(
 
 @lean_entry
 def place_readings(
-    pose: FloatArray, ranges: FloatArray, beams: FloatArray, touching: float, seen: FloatArray, touched: FloatArray
+    pose: FloatArray,
+    ranges: FloatArray,
+    beams: FloatArray,
+    touching: float,
+    seen: FloatArray,
+    touched: FloatArray,
 ) -> None:
-    """Set where a step's readings ended, and where something touched a sensor (b, 2), m; NaN for nowhere.
+    """Set where a step's readings ended, and where something touched a sensor (b, 2), m; NaN for
+    nowhere.
 
     A beam at its minimum range has hit something at the share ``touching`` of it. ``beams`` is
     ``RobotSpec.beam_table``.
@@ -36,15 +53,25 @@ def place_readings(
         if near < reading < beams[beam, TOO_FAR]:
             seen[beam, 0], seen[beam, 1] = beam_end(pose, cos, sin, beams, beam, reading)
         if reading <= near:
-            touched[beam, 0], touched[beam, 1] = beam_end(pose, cos, sin, beams, beam, touching * near)
+            touched[beam, 0], touched[beam, 1] = beam_end(
+                pose, cos, sin, beams, beam, touching * near
+            )
 
 
 @compiled
 def is_clear(
-    pose: FloatArray, way_x: float, way_y: float, points: FloatArray, deepest: float, farthest: float
-) -> bool:  # fmt: skip
-    """Whether a body that moves by a way keeps its distance of points (n, k, 2), m, of which some may be NaN."""
-    # Points outside of this square, a little wider than it need be, are too far away in any case. Most points are.
+    pose: FloatArray,
+    way_x: float,
+    way_y: float,
+    points: FloatArray,
+    deepest: float,
+    farthest: float,
+) -> bool:
+    """Whether a body that moves by a way keeps its distance of points (n, k, 2), m, of which some
+    may be NaN.
+    """
+    # Points outside of this square, a little wider than it need be, are too far away in any case.
+    # Most points are.
     reach = 1.001 * (farthest + abs(way_x) + abs(way_y))
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
@@ -60,29 +87,41 @@ def is_clear(
 
 @lean_entry
 def safe_share(
-    pose: FloatArray, way: FloatArray, seen: FloatArray, touched: FloatArray, deepest: float, farthest: float,
+    pose: FloatArray,
+    way: FloatArray,
+    seen: FloatArray,
+    touched: FloatArray,
+    deepest: float,
+    farthest: float,
     shares: FloatArray,
-) -> float:  # fmt: skip
-    """The first of some shares of a way that a body can move without coming too close to a point; 0 if there is none.
+) -> float:
+    """The first of some shares of a way that a body can move without coming too close to a point; 0
+    if there is none.
 
-    The body is at a ``pose`` (3,), and the ``way`` is (2,), m. Of the points (n, b, 2), m, that were ``seen`` and
-    ``touched``, some may be NaN, and those nearer to the body's middle than ``deepest``, m, do not count. The middle
-    must come no nearer to a point than ``farthest``, m, or than it is.
+    The body is at a ``pose`` (3,), and the ``way`` is (2,), m. Of the points (n, b, 2), m, that
+    were ``seen`` and ``touched``, some may be NaN, and those nearer to the body's middle than
+    ``deepest``, m, do not count. The middle must come no nearer to a point than ``farthest``, m, or
+    than it is.
     """
     for number in range(len(shares)):
         share = float(shares[number])
         x, y = share * way[0], share * way[1]
-        if is_clear(pose, x, y, seen, deepest, farthest) and is_clear(pose, x, y, touched, deepest, farthest):
+        if is_clear(pose, x, y, seen, deepest, farthest) and is_clear(
+            pose, x, y, touched, deepest, farthest
+        ):
             return share
     return 0.0
 
 
 @lean_entry
-def room_ahead(ranges: FloatArray, beams: FloatArray, front: float, radius: float, margin: float) -> float:
-    """Distance (m) that a body can drive straight ahead before it meets the nearest point seen by a front beam.
+def room_ahead(
+    ranges: FloatArray, beams: FloatArray, front: float, radius: float, margin: float
+) -> float:
+    """Distance (m) that a body can drive straight ahead before it meets the nearest point seen by a
+    front beam.
 
-    ``front`` is the largest angle of a front beam from straight ahead, rad, and ``margin`` is kept at the body's sides,
-    m. ``beams`` is ``RobotSpec.beam_table``.
+    ``front`` is the largest angle of a front beam from straight ahead, rad, and ``margin`` is kept
+    at the body's sides, m. ``beams`` is ``RobotSpec.beam_table``.
     """
     has_front, has_reading, room = False, False, math.inf
     for beam in range(len(ranges)):
@@ -104,28 +143,43 @@ def room_ahead(ranges: FloatArray, beams: FloatArray, front: float, radius: floa
 
 @lean_entry
 def beams_on_robot(
-    pose: FloatArray, other: FloatArray, ranges: FloatArray, beams: FloatArray,
+    pose: FloatArray,
+    other: FloatArray,
+    ranges: FloatArray,
+    beams: FloatArray,
     sensor: tuple[float, float, float, float],
-    covariance: FloatArray, at: int, other_at: int, margins: tuple[float, float, float], found: BoolArray,
-) -> None:  # fmt: skip
-    """Mark the beams (b,) of a robot at a pose (3,) that may end on the body of another robot at a pose (3,).
+    covariance: FloatArray,
+    at: int,
+    other_at: int,
+    margins: tuple[float, float, float],
+    found: BoolArray,
+) -> None:
+    """Mark the beams (b,) of a robot at a pose (3,) that may end on the body of another robot at a
+    pose (3,).
 
-    ``sensor`` is ``RangeSensor.numbers``, and ``beams`` is ``RobotSpec.beam_table``. The two poses begin in the joint
-    ``covariance`` at ``at`` and ``other_at``. The margins are the radius of the body, m, a number of standard
-    deviations, and a slack, m.
+    ``sensor`` is ``RangeSensor.numbers``, and ``beams`` is ``RobotSpec.beam_table``. The two poses
+    begin in the joint ``covariance`` at ``at`` and ``other_at``. The margins are the radius of the
+    body, m, a number of standard deviations, and a slack, m.
     """
     cos, sin, (radius, sigmas, slack) = math.cos(pose[2]), math.sin(pose[2]), margins
     for beam in range(len(ranges)):
         reached = ranges[beam] - sensor[3]
         x, y = beam_end(pose, cos, sin, beams, beam, reached)
         distance = math.sqrt((x - other[0]) ** 2 + (y - other[1]) ** 2)
-        toward_x, toward_y = (x - other[0]) / max(distance, 1e-9), (y - other[1]) / max(distance, 1e-9)
-        # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x and y.
+        toward_x, toward_y = (
+            (x - other[0]) / max(distance, 1e-9),
+            (y - other[1]) / max(distance, 1e-9),
+        )
+        # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x
+        # and y.
         turning, variance = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x, 0.0
         by = (toward_x, toward_y, turning, -toward_x, -toward_y)
         for i in range(5):
             for j in range(5):
-                row, column = at + i if i < 3 else other_at + i - 3, at + j if j < 3 else other_at + j - 3
+                row, column = (
+                    at + i if i < 3 else other_at + i - 3,
+                    at + j if j < 3 else other_at + j - 3,
+                )
                 variance += by[i] * covariance[row, column] * by[j]
         noise = sensor[0] ** 2 + (sensor[1] * reached**2) ** 2
         margin = sigmas * math.sqrt(max(variance, 0.0) + noise) + slack

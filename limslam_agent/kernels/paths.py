@@ -17,7 +17,9 @@ Cells = NDArray[np.int32]
 
 @compiled
 def comes_first(cost: FloatArray, cell: int, other: int) -> bool:
-    """Whether a search visits a cell before another one: the cheaper one, or of equally cheap ones the later one."""
+    """Whether a search visits a cell before another one: the cheaper one, or of equally cheap ones
+    the later one.
+    """
     return bool(cost[cell] < cost[other] or (cost[cell] == cost[other] and cell > other))
 
 
@@ -36,7 +38,9 @@ def rise(queue: Cells, places: Cells, cost: FloatArray, cell: int, place: int) -
 
 @compiled
 def sink(queue: Cells, places: Cells, cost: FloatArray, size: int, cell: int) -> None:
-    """Put a cell into a binary heap of a size at its first place, or below it if other cells come first."""
+    """Put a cell into a binary heap of a size at its first place, or below it if other cells come
+    first.
+    """
     place = 0
     while 2 * place + 1 < size:
         below = 2 * place + 1
@@ -52,26 +56,33 @@ def sink(queue: Cells, places: Cells, cost: FloatArray, size: int, cell: int) ->
 
 @lean_entry
 def search_paths(
-    open_cells: BoolArray, prices: FloatArray, wanted: BoolArray, extra: FloatArray, start: int,
-    queue: Cells, places: Cells, cost: FloatArray, before: Cells,
-) -> None:  # fmt: skip
+    open_cells: BoolArray,
+    prices: FloatArray,
+    wanted: BoolArray,
+    extra: FloatArray,
+    start: int,
+    queue: Cells,
+    places: Cells,
+    cost: FloatArray,
+    before: Cells,
+) -> None:
     """Find the least-cost paths from a cell to those around it.
 
-    Of equally cheap cells, the one with the largest index is visited first. So paths of equal cost are chosen by the
-    grid alone. Arrays of cells are (rows, columns), or (n,) with flat indices.
+    Of equally cheap cells, the one with the largest index is visited first. So paths of equal cost
+    are chosen by the grid alone. Arrays of cells are (rows, columns), or (n,) with flat indices.
 
     Parameters
     ----------
     open_cells, prices
         Cells that can be entered, and the cost of a step of the length of a cell in each of them.
     wanted, extra
-        The search ends when the cheapest of the wanted cells is known, with what it costs besides its path, m, at least
-        0; arrays without cells for no end, and for nothing.
+        The search ends when the cheapest of the wanted cells is known, with what it costs besides
+        its path, m, at least 0; arrays without cells for no end, and for nothing.
     start, queue, places
         Where paths begin, and scratch (n,): a binary heap, and where each cell is in it.
     cost, before
-        Costs (n,), all infinite, and the cells (n,) before each cell on its path, all negative. They are set where a
-        path has been found.
+        Costs (n,), all infinite, and the cells (n,) before each cell on its path, all negative.
+        They are set where a path has been found.
     """
     rows, columns = open_cells.shape
     cost[start], nearest, size = 0.0, math.inf, 1
@@ -86,7 +97,10 @@ def search_paths(
         price = prices[row, column]
         for down, right, length in _NEIGHBOURS:
             to_row, to_column = row + down, column + right
-            if not (0 <= to_row < rows and 0 <= to_column < columns) or not open_cells[to_row, to_column]:
+            if (
+                not (0 <= to_row < rows and 0 <= to_column < columns)
+                or not open_cells[to_row, to_column]
+            ):
                 continue
             # A diagonal step must not pass between two occupied cells: they may be one wall.
             if down and right and not (open_cells[row, to_column] and open_cells[to_row, column]):

@@ -1,7 +1,8 @@
-"""How well the readings of a drive fit a map from many poses: the evidence of each reading, and the search for poses.
+"""How well the readings of a drive fit a map from many poses: the evidence of each reading, and the
+search for poses.
 
-The rays of a drive are the beams with their readings, in the frame of the drive. A pose of this frame in a map places
-all of them.
+The rays of a drive are the beams with their readings, in the frame of the drive. A pose of this
+frame in a map places all of them.
 """
 
 import math
@@ -28,7 +29,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than they were drawn
 _STEEPEST = 0.25  # least cosine by which the spread of a distance to a wall is divided
-_BESIDE = 0.15  # m: a reading that differs by less than this and three standard deviations contradicts nothing
+# m: a reading that differs by less than this and three standard deviations contradicts nothing
+_BESIDE = 0.15
 _ROUGH = 0.08  # m: standard deviation of the place of a wall that is known by occupied cells only
 _UNSEEN = 0.2  # m: a wall may lie so far beyond the first cell that is not free
 _ROUNDS, _FAR, _NEAR = 8, 0.30, 0.12  # of refinements: distances from walls, m, first and last
@@ -44,15 +46,22 @@ def fill_table(segments: FloatArray, table: FloatArray) -> None:
         length = math.hypot(x, y)
         table[wall, _START_X], table[wall, _START_Y] = segments[wall, 0], segments[wall, 1]
         table[wall, _LENGTH] = length
-        table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = x / max(length, 1e-9), y / max(length, 1e-9)
+        table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = (
+            x / max(length, 1e-9),
+            y / max(length, 1e-9),
+        )
 
 
 @compiled
-def crossing(ray: tuple[float, float, float, float], walls: FloatArray, wall: int) -> tuple[float, float, float]:
-    """Where a beam meets the line of a wall: how far along the beam, m, how far beyond the wall's ends, m, and cosine.
+def crossing(
+    ray: tuple[float, float, float, float], walls: FloatArray, wall: int
+) -> tuple[float, float, float]:
+    """Where a beam meets the line of a wall: how far along the beam, m, how far beyond the wall's
+    ends, m, and cosine.
 
-    The distance is negative if the beam meets the line behind it, or at a grazing angle. The position is negative
-    between the ends. The cosine, without sign, is that of the angle between the beam and the wall's normal.
+    The distance is negative if the beam meets the line behind it, or at a grazing angle. The
+    position is negative between the ends. The cosine, without sign, is that of the angle between
+    the beam and the wall's normal.
     """
     x, y, ux, uy = ray
     tx, ty = walls[wall, _TANGENT_X], walls[wall, _TANGENT_Y]
@@ -76,16 +85,24 @@ def wall_evidence(length: float, reach: float, wall: float, std: float) -> float
 
 @compiled
 def free_length(
-    ray: tuple[float, float, float, float], longest: float, values: NDArray[np.int16], low: FloatArray, cell: float
+    ray: tuple[float, float, float, float],
+    longest: float,
+    values: NDArray[np.int16],
+    low: FloatArray,
+    cell: float,
 ) -> tuple[float, int]:
-    """How far along a ray all cells are free, up to a longest distance, m, and the value of the cell that ends it.
+    """How far along a ray all cells are free, up to a longest distance, m, and the value of the
+    cell that ends it.
 
     The value is that of a free cell if none ends it. Cells outside of the grid are unknown.
     """
     x, y, ux, uy = ray
     for step in range(math.ceil(2.0 * longest / cell)):
         along = 0.5 * step * cell
-        row, column = math.floor((y + along * uy - low[1]) / cell), math.floor((x + along * ux - low[0]) / cell)
+        row, column = (
+            math.floor((y + along * uy - low[1]) / cell),
+            math.floor((x + along * ux - low[0]) / cell),
+        )
         if not (0 <= row < values.shape[0] and 0 <= column < values.shape[1]):
             return along, 0
         if values[row, column] <= 0:
@@ -94,10 +111,16 @@ def free_length(
 
 
 @compiled
-def is_inside(x: float, y: float, values: NDArray[np.int16], low: FloatArray, cell: float, around: int) -> bool:
-    """Whether a point (m) lies in a free cell, and all cells up to a number of cells around it are free."""
+def is_inside(
+    x: float, y: float, values: NDArray[np.int16], low: FloatArray, cell: float, around: int
+) -> bool:
+    """Whether a point (m) lies in a free cell, and all cells up to a number of cells around it are
+    free.
+    """
     row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
-    if not (around <= row < values.shape[0] - around and around <= column < values.shape[1] - around):
+    if not (
+        around <= row < values.shape[0] - around and around <= column < values.shape[1] - around
+    ):
         return False
     for down in range(-around, around + 1):
         for right in range(-around, around + 1):
@@ -108,14 +131,22 @@ def is_inside(x: float, y: float, values: NDArray[np.int16], low: FloatArray, ce
 
 @compiled
 def explain(
-    length: float, reach: float, wall: float, cosine: float, free: float, ends_at: int, spread: tuple[float, float]
+    length: float,
+    reach: float,
+    wall: float,
+    cosine: float,
+    free: float,
+    ends_at: int,
+    spread: tuple[float, float],
 ) -> tuple[float, float, bool]:
-    """The evidence of a reading for a map against a random place, where it contradicts the map, and whether it might.
+    """The evidence of a reading for a map against a random place, where it contradicts the map, and
+    whether it might.
 
-    The second number is the distance at which it contradicts the map, m: at a wall that it has passed, or where it
-    ended in free ground. It is 0 if it contradicts nothing. The first wall is at the distance ``wall``, m, with this
-    cosine between the ray and its normal; cells are ``free`` so far, m, and then have the value ``ends_at``. ``spread``
-    is the variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
+    The second number is the distance at which it contradicts the map, m: at a wall that it has
+    passed, or where it ended in free ground. It is 0 if it contradicts nothing. The first wall is
+    at the distance ``wall``, m, with this cosine between the ray and its normal; cells are ``free``
+    so far, m, and then have the value ``ends_at``. ``spread`` is the variance of the distance to a
+    wall, m^2, and how it grows with the squared distance, rad^2.
     """
     if wall < reach and wall <= free + _UNSEEN:
         std = math.sqrt(spread[0] + spread[1] * wall**2) / max(cosine, _STEEPEST)
@@ -141,10 +172,18 @@ def explain(
 
 @compiled
 def weigh_ray(
-    ray: tuple[float, float, float, float], length: float, reach: float, walls: FloatArray, values: NDArray[np.int16],
-    low: FloatArray, cell: float, spread: tuple[float, float], cone: float,
-) -> tuple[float, float, bool]:  # fmt: skip
-    """The evidence of a reading for a map, at what distance it contradicts the map, m, and whether it might do so.
+    ray: tuple[float, float, float, float],
+    length: float,
+    reach: float,
+    walls: FloatArray,
+    values: NDArray[np.int16],
+    low: FloatArray,
+    cell: float,
+    spread: tuple[float, float],
+    cone: float,
+) -> tuple[float, float, bool]:
+    """The evidence of a reading for a map, at what distance it contradicts the map, m, and whether
+    it might do so.
 
     The distance is 0 if it does not. ``spread`` is that of :func:`explain`.
     """
@@ -159,14 +198,21 @@ def weigh_ray(
         if distance < shorter and beyond < -_INSET:
             shorter, cosine_shorter = distance, cosine
     free, ends_at = free_length(ray, reach, values, low, cell)
-    evidence, against, is_tested = explain(length, reach, longer, cosine_longer, free, ends_at, spread)
+    evidence, against, is_tested = explain(
+        length, reach, longer, cosine_longer, free, ends_at, spread
+    )
     if shorter != longer:
-        other, against_other, _ = explain(length, reach, shorter, cosine_shorter, free, ends_at, spread)
+        other, against_other, _ = explain(
+            length, reach, shorter, cosine_shorter, free, ends_at, spread
+        )
         evidence, against = max(evidence, other), against if against_other > 0.0 else 0.0
     if against > 0.0 and length < min(reach, shorter - _BESIDE):
-        # It ended before the wall, if there is one. A wall that was not drawn yet may be near, or beside a wide beam.
+        # It ended before the wall, if there is one. A wall that was not drawn yet may be near, or
+        # beside a wide beam.
         around = 1 + int(length * math.sin(cone) / cell)
-        if not is_inside(ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around):
+        if not is_inside(
+            ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around
+        ):
             evidence, against = max(evidence, 0.0), 0.0
     return evidence, against, is_tested
 
@@ -175,33 +221,62 @@ def weigh_ray(
 def placed_ray(
     x0: float, y0: float, cos: float, sin: float, rays: FloatArray, number: int
 ) -> tuple[float, float, float, float]:
-    """Origin, m, and direction of a ray, moved by a pose at (x0, y0), m, with this cosine and sine of its heading."""
-    x, y, ux, uy = rays[number, RAY_X], rays[number, RAY_Y], rays[number, RAY_TO_X], rays[number, RAY_TO_Y]
+    """Origin, m, and direction of a ray, moved by a pose at (x0, y0), m, with this cosine and sine
+    of its heading.
+    """
+    x, y, ux, uy = (
+        rays[number, RAY_X],
+        rays[number, RAY_Y],
+        rays[number, RAY_TO_X],
+        rays[number, RAY_TO_Y],
+    )
     return x0 + cos * x - sin * y, y0 + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
 
 
 @lean_entry
 def weigh_poses(
-    poses: FloatArray, rays: FloatArray, segments: FloatArray, walls: FloatArray, values: NDArray[np.int16],
-    low: FloatArray, cell: float, spread: tuple[float, float], cone: float, evidence: FloatArray, counts: IntArray,
-) -> None:  # fmt: skip
+    poses: FloatArray,
+    rays: FloatArray,
+    segments: FloatArray,
+    walls: FloatArray,
+    values: NDArray[np.int16],
+    low: FloatArray,
+    cell: float,
+    spread: tuple[float, float],
+    cone: float,
+    evidence: FloatArray,
+    counts: IntArray,
+) -> None:
     """Find the evidence of rays for poses of their frame in a map.
 
-    Set are the logarithm of the likelihood ratio ``evidence`` (m,) of each of the poses (m, 3) and of a random place,
-    and the numbers of rays ``counts`` (m, 2), of (n, 7), that contradict the map, and that could have done so. The map
-    is walls (k, 4), m, and cells (rows, columns), positive if free, with the lower left corner ``low`` (2,), m.
-    ``spread`` is that of :func:`explain`, ``cone`` is half the opening angle of the beams, rad, and ``walls`` (k, 5) is
+    Set are the logarithm of the likelihood ratio ``evidence`` (m,) of each of the poses (m, 3) and
+    of a random place, and the numbers of rays ``counts`` (m, 2), of (n, 7), that contradict the
+    map, and that could have done so. The map is walls (k, 4), m, and cells (rows, columns),
+    positive if free, with the lower left corner ``low`` (2,), m. ``spread`` is that of
+    :func:`explain`, ``cone`` is half the opening angle of the beams, rad, and ``walls`` (k, 5) is
     scratch.
     """
     fill_table(segments, walls)
     for number in range(len(poses)):
         total, against, tested = 0.0, 0, 0
-        x, y, cos, sin = poses[number, 0], poses[number, 1], math.cos(poses[number, 2]), math.sin(poses[number, 2])
+        x, y, cos, sin = (
+            poses[number, 0],
+            poses[number, 1],
+            math.cos(poses[number, 2]),
+            math.sin(poses[number, 2]),
+        )
         for i in range(len(rays)):
             found, distance, is_tested = weigh_ray(
-                placed_ray(x, y, cos, sin, rays, i), rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell,
-                spread, cone,
-            )  # fmt: skip
+                placed_ray(x, y, cos, sin, rays, i),
+                rays[i, RAY_LENGTH],
+                rays[i, RAY_REACH],
+                walls,
+                values,
+                low,
+                cell,
+                spread,
+                cone,
+            )
             total += found
             against += distance > 0.0
             tested += is_tested
@@ -210,9 +285,16 @@ def weigh_poses(
 
 @lean_entry
 def weigh_rays(
-    rays: FloatArray, segments: FloatArray, walls: FloatArray, values: NDArray[np.int16], low: FloatArray, cell: float,
-    spread: tuple[float, float], cone: float, found: FloatArray,
-) -> None:  # fmt: skip
+    rays: FloatArray,
+    segments: FloatArray,
+    walls: FloatArray,
+    values: NDArray[np.int16],
+    low: FloatArray,
+    cell: float,
+    spread: tuple[float, float],
+    cone: float,
+    found: FloatArray,
+) -> None:
     """Set rows (n, 3) to what :func:`weigh_ray` finds for rays (n, 7) in the frame of the map.
 
     The other arguments are those of :func:`weigh_poses`.
@@ -226,8 +308,11 @@ def weigh_rays(
 
 
 @compiled
-def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[float, float, float]:
-    """Normal of the nearest wall within a distance (m) of a point, and the way along it to the wall, m.
+def nearest_offset(
+    x: float, y: float, walls: FloatArray, most: float
+) -> tuple[float, float, float]:
+    """Normal of the nearest wall within a distance (m) of a point, and the way along it to the
+    wall, m.
 
     The normal is zero if there is no such wall.
     """
@@ -245,10 +330,16 @@ def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[
 
 @compiled
 def add_residuals(
-    pose: FloatArray, rays: FloatArray, walls: FloatArray, most: float, cone: float, matrix: FloatArray,
+    pose: FloatArray,
+    rays: FloatArray,
+    walls: FloatArray,
+    most: float,
+    cone: float,
+    matrix: FloatArray,
     vector: FloatArray,
-) -> None:  # fmt: skip
-    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations of a pose (3,).
+) -> None:
+    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations
+    of a pose (3,).
 
     The lower triangle of the matrix counts.
     """
@@ -273,14 +364,20 @@ def add_residuals(
 
 @lean_entry
 def refine_poses(
-    poses: FloatArray, rays: FloatArray, segments: FloatArray, cone: float, walls: FloatArray, matrix: FloatArray,
+    poses: FloatArray,
+    rays: FloatArray,
+    segments: FloatArray,
+    cone: float,
+    walls: FloatArray,
+    matrix: FloatArray,
     vector: FloatArray,
-) -> None:  # fmt: skip
-    """Move poses (m, 3), so that the ends of rays (n, 7) lie on walls (k, 4), m: least squares of their distances.
+) -> None:
+    """Move poses (m, 3), so that the ends of rays (n, 7) lie on walls (k, 4), m: least squares of
+    their distances.
 
-    The steps are damped. Walls that are not quite parallel, as those of a corridor in a map, would otherwise let a pose
-    slide along them. ``cone`` (rad) is half the opening angle of the beams. The last three arguments, (k, 5), (3, 3),
-    (3,), are scratch.
+    The steps are damped. Walls that are not quite parallel, as those of a corridor in a map, would
+    otherwise let a pose slide along them. ``cone`` (rad) is half the opening angle of the beams.
+    The last three arguments, (k, 5), (3, 3), (3,), are scratch.
     """
     fill_table(segments, walls)
     for number in range(len(poses)):
@@ -299,8 +396,12 @@ def refine_poses(
 
 
 @compiled
-def fill_offsets(turn: float, rays: FloatArray, middle: FloatArray, cell: float, offsets: IntArray) -> None:
-    """Set offsets (n, 6) to the rows and columns of the end of each ray, turned about a point, and of its way there."""
+def fill_offsets(
+    turn: float, rays: FloatArray, middle: FloatArray, cell: float, offsets: IntArray
+) -> None:
+    """Set offsets (n, 6) to the rows and columns of the end of each ray, turned about a point, and
+    of its way there.
+    """
     cos, sin = math.cos(turn), math.sin(turn)
     for i in range(len(rays)):
         length = rays[i, RAY_LENGTH]
@@ -314,7 +415,9 @@ def fill_offsets(turn: float, rays: FloatArray, middle: FloatArray, cell: float,
 
 @compiled
 def add_row(row: NDArray[np.float32], field: NDArray[np.float32], shift: int) -> None:
-    """Add a row of a field, which begins ``shift`` cells before it, to a row; nothing where the field has ended."""
+    """Add a row of a field, which begins ``shift`` cells before it, to a row; nothing where the
+    field has ended.
+    """
     low, high = max(0, -shift), min(len(row), len(field) - shift)
     # With slices, the compiler knows that no index is negative, and adds many cells at once.
     if low < high:
@@ -325,16 +428,23 @@ def add_row(row: NDArray[np.float32], field: NDArray[np.float32], shift: int) ->
 
 @lean_entry
 def scan_poses(
-    turns: FloatArray, rays: FloatArray, middle: FloatArray, fields: NDArray[np.float32], cell: float,
-    offsets: IntArray, scores: NDArray[np.float32],
-) -> None:  # fmt: skip
-    """Roughly weigh poses on a grid: a ray counts by the cell of its end, and by two cells on its way.
+    turns: FloatArray,
+    rays: FloatArray,
+    middle: FloatArray,
+    fields: NDArray[np.float32],
+    cell: float,
+    offsets: IntArray,
+    scores: NDArray[np.float32],
+) -> None:
+    """Roughly weigh poses on a grid: a ray counts by the cell of its end, and by two cells on its
+    way.
 
-    All places of a row are weighed at once, so that memory is read in order. Set are the ``scores`` (t, rows, columns)
-    of the ``turns`` (t,), rad, of rays (n, 7) about the ``middle`` (2,), m, which is placed in the middle of every
-    second cell of every second row. ``fields`` (2, 2, 2, rows, columns) are the evidence of an end of a ray in each
-    cell, and of a ray on its way there; the second and the third index say whether the cells have odd rows and odd
-    columns. ``offsets`` (n, 6) is scratch.
+    All places of a row are weighed at once, so that memory is read in order. Set are the ``scores``
+    (t, rows, columns) of the ``turns`` (t,), rad, of rays (n, 7) about the ``middle`` (2,), m,
+    which is placed in the middle of every second cell of every second row. ``fields`` (2, 2, 2,
+    rows, columns) are the evidence of an end of a ray in each cell, and of a ray on its way there;
+    the second and the third index say whether the cells have odd rows and odd columns. ``offsets``
+    (n, 6) is scratch.
     """
     rows = fields.shape[3]
     for turn in range(len(turns)):
@@ -351,14 +461,21 @@ def scan_poses(
 
 
 @lean_entry
-def choose_apart(poses: FloatArray, shift: float, turn: float, chosen: BoolArray, most: int) -> None:
-    """Mark poses (m, 3), the best ones first, of which no two differ by less than a shift (m) and a turn (rad)."""
+def choose_apart(
+    poses: FloatArray, shift: float, turn: float, chosen: BoolArray, most: int
+) -> None:
+    """Mark poses (m, 3), the best ones first, of which no two differ by less than a shift (m) and a
+    turn (rad).
+    """
     count = 0
     for i in range(len(poses)):
         chosen[i] = count < most
         for j in range(i):
             if not chosen[i]:
                 break
-            if chosen[j] and math.hypot(poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]) < shift:
+            if (
+                chosen[j]
+                and math.hypot(poses[i, 0] - poses[j, 0], poses[i, 1] - poses[j, 1]) < shift
+            ):
                 chosen[i] = abs(wrapped(poses[i, 2] - poses[j, 2])) >= turn
         count += chosen[i]

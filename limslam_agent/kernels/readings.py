@@ -1,6 +1,8 @@
-"""What the ranges of one step mean, how likely it is that readings changed as they did, and how many missed a wall.
+"""What the ranges of one step mean, how likely it is that readings changed as they did, and how
+many missed a wall.
 
-``limslam_agent.readings``, ``limslam_agent.status.sudden_changes`` and ``limslam_agent.dropouts`` explain them.
+``limslam_agent.readings``, ``limslam_agent.status.sudden_changes`` and ``limslam_agent.dropouts``
+explain them.
 """
 
 import math
@@ -17,14 +19,16 @@ _WELL_WITHIN = 0.9
 
 
 _LEAST_STD = 0.01  # m
-# How much a reading changes with the distance driven, and with the angle turned times the range: standard deviations of
-# two kinds of walls, those that face the beam and those at a grazing angle, and the shares of both.
+# How much a reading changes with the distance driven, and with the angle turned times the range:
+# standard deviations of two kinds of walls, those that face the beam and those at a grazing angle,
+# and the shares of both.
 _DRIVE, _SPIN, _SHARES = (1.0, 2.0), (0.7, 2.0), (0.75, 0.25)
-# A beam that turns along a straight wall goes on as its last two readings say: from this angle on, rad, and with this
-# standard deviation, m and m for each metre and radian.
+# A beam that turns along a straight wall goes on as its last two readings say: from this angle on,
+# rad, and with this standard deviation, m and m for each metre and radian.
 _SWEEPS, _BENT = 0.05, (0.03, 0.2)
 _ON_LINE = 0.6
-# A beam meets an edge with this likelihood in a step, and with so much more for each radian of the turn.
+# A beam meets an edge with this likelihood in a step, and with so much more for each radian of the
+# turn.
 _EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
 _APPEARS = 0.04  # likelihood that a wall comes into reach in a step
 _LIMITS = -1.5, 4.5  # of a single reading
@@ -32,14 +36,20 @@ _LIMITS = -1.5, 4.5  # of a single reading
 
 @lean_entry
 def sort_readings(
-    values: FloatArray, lowest: FloatArray, highest: FloatArray, too_near: FloatArray, too_far: FloatArray,
-    readings: FloatArray, measured: BoolArray, hits: BoolArray,
-) -> int:  # fmt: skip
+    values: FloatArray,
+    lowest: FloatArray,
+    highest: FloatArray,
+    too_near: FloatArray,
+    too_far: FloatArray,
+    readings: FloatArray,
+    measured: BoolArray,
+    hits: BoolArray,
+) -> int:
     """Turn what a sensor reports into readings; the number of values that are no readings.
 
-    The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it. ``measured`` (b,)
-    holds the beams that take a new measurement in this step, of which those without a reading are removed. ``hits`` is
-    set to those that show a wall.
+    The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it.
+    ``measured`` (b,) holds the beams that take a new measurement in this step, of which those
+    without a reading are removed. ``hits`` is set to those that show a wall.
     """
     refused = 0
     for beam in range(len(values)):
@@ -60,14 +70,18 @@ def normal_density(off: float, std: float) -> float:
 
 @compiled
 def reading_evidence(
-    ranges: tuple[float, float, float], nothing: tuple[bool, bool, bool], motion: tuple[float, float, float],
-    reach: float, std: float, growth: float,
-) -> float:  # fmt: skip
+    ranges: tuple[float, float, float],
+    nothing: tuple[bool, bool, bool],
+    motion: tuple[float, float, float],
+    reach: float,
+    std: float,
+    growth: float,
+) -> float:
     """The evidence of a reading that the robot was carried away before its step.
 
-    ``ranges`` are the reading, the one before, and the one before that, m; ``nothing`` says whether the beam saw
-    nothing. ``motion`` is the distance and the turn before the reading, and the turn before the reading before, without
-    signs.
+    ``ranges`` are the reading, the one before, and the one before that, m; ``nothing`` says whether
+    the beam saw nothing. ``motion`` is the distance and the turn before the reading, and the turn
+    before the reading before, without signs.
     """
     (now, before, earlier), (travel, turn, turn_before) = ranges, motion
     if nothing[0] and nothing[1]:
@@ -77,7 +91,10 @@ def reading_evidence(
     edges, here = _EDGES + _EDGES_PER_TURN * min(turn, _FASTEST), 0.0
     for kind in range(len(_SHARES)):
         spread = math.sqrt(
-            2.0 * variance + _LEAST_STD**2 + (_DRIVE[kind] * travel) ** 2 + (_SPIN[kind] * turn * shorter) ** 2
+            2.0 * variance
+            + _LEAST_STD**2
+            + (_DRIVE[kind] * travel) ** 2
+            + (_SPIN[kind] * turn * shorter) ** 2
         )
         if nothing[0]:  # the wall is out of reach now
             here += _SHARES[kind] * 0.5 * math.erfc((reach - before) / (spread * math.sqrt(2.0)))
@@ -96,14 +113,20 @@ def reading_evidence(
 
 @lean_entry
 def weigh_changes(
-    ranges: FloatArray, usable: BoolArray, motions: FloatArray, beams: FloatArray, std: float, growth: float,
+    ranges: FloatArray,
+    usable: BoolArray,
+    motions: FloatArray,
+    beams: FloatArray,
+    std: float,
+    growth: float,
     evidence: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Find the evidence of each reading that the robot was carried away before its step.
 
-    Given are readings of m + 2 steps, a mask of those that count, both (m + 2, b), and length and angle of the motion
-    before each of the steps (m + 2, 2), m and rad, without signs. ``beams`` is ``RobotSpec.beam_table``. Set is the
-    evidence (m, b) for the steps but the first two; 0 where a reading does not count.
+    Given are readings of m + 2 steps, a mask of those that count, both (m + 2, b), and length and
+    angle of the motion before each of the steps (m + 2, 2), m and rad, without signs. ``beams`` is
+    ``RobotSpec.beam_table``. Set is the evidence (m, b) for the steps but the first two; 0 where a
+    reading does not count.
     """
     for row in range(evidence.shape[0]):
         for beam in range(evidence.shape[1]):
@@ -115,8 +138,11 @@ def weigh_changes(
             found = reading_evidence(
                 (min(now, reach), min(before, reach), min(earlier, reach)),
                 (now >= far, before >= far, earlier >= far),
-                (motions[row + 2, 0], motions[row + 2, 1], motions[row + 1, 1]), reach, std, growth,
-            )  # fmt: skip
+                (motions[row + 2, 0], motions[row + 2, 1], motions[row + 1, 1]),
+                reach,
+                std,
+                growth,
+            )
             if found < _LIMITS[0] or found > _LIMITS[1]:
                 found = _LIMITS[0] if found < _LIMITS[0] else _LIMITS[1]
             evidence[row, beam] = found
@@ -124,19 +150,28 @@ def weigh_changes(
 
 @lean_entry
 def count_misses(
-    ranges: FloatArray, measured: BoolArray, beams: FloatArray, last: FloatArray, in_a_row: IntArray, counts: IntArray
+    ranges: FloatArray,
+    measured: BoolArray,
+    beams: FloatArray,
+    last: FloatArray,
+    in_a_row: IntArray,
+    counts: IntArray,
 ) -> None:
     """Count readings that saw nothing, and among them those between two readings of the same wall.
 
-    Changed are the ``last`` two new readings of each beam (2, b), m, NaN where there is none, how many new readings of
-    each beam ``in_a_row`` (b,) saw nothing, and ``counts`` (2,): readings between two of the same wall, and those among
-    them that saw nothing.
+    Changed are the ``last`` two new readings of each beam (2, b), m, NaN where there is none, how
+    many new readings of each beam ``in_a_row`` (b,) saw nothing, and ``counts`` (2,): readings
+    between two of the same wall, and those among them that saw nothing.
     """
     for beam in range(len(ranges)):
         if not measured[beam]:
             continue
         before, between, reading = last[0, beam], last[1, beam], ranges[beam]
-        near, far, limit = beams[beam, TOO_NEAR], beams[beam, TOO_FAR], _WELL_WITHIN * beams[beam, FARTHEST]
+        near, far, limit = (
+            beams[beam, TOO_NEAR],
+            beams[beam, TOO_FAR],
+            _WELL_WITHIN * beams[beam, FARTHEST],
+        )
         if near < before < limit and near < reading < limit and abs(before - reading) < _SAME_WALL:
             counts[0] += 1
             counts[1] += between >= far

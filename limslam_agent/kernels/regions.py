@@ -20,11 +20,14 @@ def cosine(normals: FloatArray, first: int, second: int) -> float:
 
 
 @lean_entry
-def sum_normals(middles: FloatArray, normals: FloatArray, order: IntArray, reach: float, total: FloatArray) -> None:
-    """Add to the normal of each face (n, 2) those of the faces near it that do not look the opposite way.
+def sum_normals(
+    middles: FloatArray, normals: FloatArray, order: IntArray, reach: float, total: FloatArray
+) -> None:
+    """Add to the normal of each face (n, 2) those of the faces near it that do not look the
+    opposite way.
 
-    ``total`` (n, 2) holds the normals before, and ``reach`` is how far apart the middles (n, 2) may be. ``order`` (n,)
-    sorts the middles by y.
+    ``total`` (n, 2) holds the normals before, and ``reach`` is how far apart the middles (n, 2) may
+    be. ``order`` (n,) sorts the middles by y.
     """
     for place in range(len(order)):
         i = order[place]
@@ -48,11 +51,18 @@ def stretch_of(stretches: IntArray, face: int) -> int:
 
 @lean_entry
 def join_faces(
-    middles: FloatArray, normals: FloatArray, order: IntArray, reach: float, least: float, stretches: IntArray
-) -> None:  # fmt: skip
-    """Join faces to stretches: those at most ``reach`` apart between whose normals the cosine is at least ``least``.
+    middles: FloatArray,
+    normals: FloatArray,
+    order: IntArray,
+    reach: float,
+    least: float,
+    stretches: IntArray,
+) -> None:
+    """Join faces to stretches: those at most ``reach`` apart between whose normals the cosine is at
+    least ``least``.
 
-    ``order`` (n,) sorts the middles by y. ``stretches`` (n,) is set to the index of one face of each face's stretch.
+    ``order`` (n,) sorts the middles by y. ``stretches`` (n,) is set to the index of one face of
+    each face's stretch.
     """
     for place in range(len(order)):
         i = order[place]
@@ -69,14 +79,20 @@ def join_faces(
 
 @lean_entry
 def mark_drawn(
-    middles: FloatArray, normals: FloatArray, walls: FloatArray, across: float, sideways: float, past: float,
-    same_way: float, drawn: BoolArray,
-) -> None:  # fmt: skip
+    middles: FloatArray,
+    normals: FloatArray,
+    walls: FloatArray,
+    across: float,
+    sideways: float,
+    past: float,
+    same_way: float,
+    drawn: BoolArray,
+) -> None:
     """Set which faces (n,), with these middles, m, and normals (n, 2), have a wall drawn at them.
 
-    Each of the walls (m, 5) has its start, m, unit vector along it, and length, m. A face that looks along a wall's
-    normal, by a cosine of at least ``same_way``, may be ``across`` away from it, m, and any other face ``sideways``;
-    past the wall's ends, ``past``.
+    Each of the walls (m, 5) has its start, m, unit vector along it, and length, m. A face that
+    looks along a wall's normal, by a cosine of at least ``same_way``, may be ``across`` away from
+    it, m, and any other face ``sideways``; past the wall's ends, ``past``.
     """
     for i in range(len(middles)):
         drawn[i] = False
@@ -86,6 +102,8 @@ def mark_drawn(
             looks = abs(normals[i, 0] * -along_y + normals[i, 1] * along_x)
             position = x * along_x + y * along_y
             is_beside = -past <= position <= length + past
-            if is_beside and abs(x * along_y - y * along_x) <= (across if looks >= same_way else sideways):
+            if is_beside and abs(x * along_y - y * along_x) <= (
+                across if looks >= same_way else sideways
+            ):
                 drawn[i] = True
                 break

@@ -1,15 +1,25 @@
-"""Tests whether readings show one straight piece of wall, with the covariance of the poses that they were taken from.
+"""Tests whether readings show one straight piece of wall, with the covariance of the poses that
+they were taken from.
 
-The tests are generalised least squares with the joint covariance of the poses that the readings were taken from. So a
-bend that comes from the odometry's error is not taken for a corner, and two sides of a rounded obstacle are not taken
-for one wall. Readings, ``places`` and the state are those of :mod:`~limslam_agent.kernels.measurement`.
+The tests are generalised least squares with the joint covariance of the poses that the readings
+were taken from. So a bend that comes from the odometry's error is not taken for a corner, and two
+sides of a rounded obstacle are not taken for one wall. Readings, ``places`` and the state are those
+of :mod:`~limslam_agent.kernels.measurement`.
 """
 
 import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonormalise, quantile, sort_with, whiten
+from limslam_agent.kernels.algebra import (
+    dot,
+    factorise,
+    leave_beside,
+    orthonormalise,
+    quantile,
+    sort_with,
+    whiten,
+)
 from limslam_agent.kernels.compilation import algebra, entry
 from limslam_agent.kernels.covariance import dense_block
 from limslam_agent.kernels.lines import fit_line
@@ -42,28 +52,49 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 @algebra
 def fit_segment(
-    x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
-    points: FloatArray, members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-    segment: FloatArray, along: FloatArray, loose: BoolArray,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    x: FloatArray,
+    start: int,
+    block: FloatArray,
+    begins: IntArray,
+    places: IntArray,
+    readings: FloatArray,
+    points: FloatArray,
+    members: IntArray,
+    line: tuple[float, float],
+    std: float,
+    variances: FloatArray,
+    segment: FloatArray,
+    along: FloatArray,
+    loose: BoolArray,
+) -> tuple[FloatArray, IntArray]:
     """Fit a line to readings by generalised least squares, and test whether they are straight.
 
-    The fit of the ``members`` (n,) of all readings begins at a ``line`` (r, theta). ``block`` is the covariance of the
-    clones that they were taken from, in which the clone of each begins at ``begins`` (n,); ``variances`` (n,) are those
-    of their ranges, m^2, and ``std`` is the standard deviation of a short range, m. Filled are the ``segment`` (7,),
-    the position of each member ``along`` it (n,), m, and which of them are ``loose`` ends (n,).
+    The fit of the ``members`` (n,) of all readings begins at a ``line`` (r, theta). ``block`` is
+    the covariance of the clones that they were taken from, in which the clone of each begins at
+    ``begins`` (n,); ``variances`` (n,) are those of their ranges, m^2, and ``std`` is the standard
+    deviation of a short range, m. Filled are the ``segment`` (7,), the position of each member
+    ``along`` it (n,), m, and which of them are ``loose`` ends (n,).
 
-    Returned are residuals (k,), in standard deviations, and the members (k,) that they belong to: those that do not
-    graze the line. If there are too few, none, and nothing is filled.
+    Returned are residuals (k,), in standard deviations, and the members (k,) that they belong to:
+    those that do not graze the line. If there are too few, none, and nothing is filled.
     """
-    count, clear, chosen = 0, np.empty(len(members), dtype=np.int64), np.empty(len(members), dtype=np.int64)
+    count, clear, chosen = (
+        0,
+        np.empty(len(members), dtype=np.int64),
+        np.empty(len(members), dtype=np.int64),
+    )
     firsts, own_variances = np.empty(len(members), dtype=np.int64), np.empty(len(members))
     d, theta = 0.0, line[1]
     foot, expected = foot_of(points, members, line[0], theta), np.empty((len(members), 7))
     predict_ranges(x, start, places, readings, members, (d, theta), foot, expected)
     for i in range(len(members)):
         if abs(expected[i, 6]) > GRAZING:
-            clear[count], chosen[count], firsts[count], own_variances[count] = i, members[i], begins[i], variances[i]
+            clear[count], chosen[count], firsts[count], own_variances[count] = (
+                i,
+                members[i],
+                begins[i],
+                variances[i],
+            )
             for k in range(7):
                 expected[count, k] = expected[i, k]
             count += 1
@@ -97,13 +128,22 @@ def fit_segment(
 
 @algebra
 def place_along(
-    x: FloatArray, start: int, places: IntArray, readings: FloatArray, members: IntArray, theta: float,
-    foot: tuple[float, float], expected: FloatArray, clear: IntArray, along: FloatArray,
-) -> None:  # fmt: skip
+    x: FloatArray,
+    start: int,
+    places: IntArray,
+    readings: FloatArray,
+    members: IntArray,
+    theta: float,
+    foot: tuple[float, float],
+    expected: FloatArray,
+    clear: IntArray,
+    along: FloatArray,
+) -> None:
     """Positions (n,) of readings along a line with its normal at ``theta``, rad, from its foot, m.
 
-    The error of a slanted beam's range moves its end point along the wall. Positions from end points would therefore
-    show a bend at the end of every noisy wall; positions where the beams meet the line do not contain that error.
+    The error of a slanted beam's range moves its end point along the wall. Positions from end
+    points would therefore show a bend at the end of every noisy wall; positions where the beams
+    meet the line do not contain that error.
     """
     cos, sin, done = math.cos(theta), math.sin(theta), 0
     for i in range(len(members)):
@@ -111,16 +151,25 @@ def place_along(
         at, reach = start + POSE * places[read], readings[read, 3]
         if done < len(clear) and clear[done] == i:
             reach, done = expected[done, 0], done + 1
-        hit_x, hit_y = end_of_beam(x, at, readings[read], ray_angle(readings[read], x[at + 2], theta), reach)
+        hit_x, hit_y = end_of_beam(
+            x, at, readings[read], ray_angle(readings[read], x[at + 2], theta), reach
+        )
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
 
 
 @algebra
 def describe(
-    along: FloatArray, number: int, own: FloatArray, foot: tuple[float, float], theta: float, std: float,
+    along: FloatArray,
+    number: int,
+    own: FloatArray,
+    foot: tuple[float, float],
+    theta: float,
+    std: float,
     segment: FloatArray,
-) -> None:  # fmt: skip
-    """Fill the first columns of a segment from the positions of all its readings, and of those that do not graze it."""
+) -> None:
+    """Fill the first columns of a segment from the positions of all its readings, and of those that
+    do not graze it.
+    """
     middle, spread = 0.0, 0.0
     for i in range(len(own)):
         middle += own[i]
@@ -132,7 +181,12 @@ def describe(
     for i in range(number):
         low, high = min(low, max(least, along[i])), max(high, min(most, along[i]))
         least, most = min(least, along[i]), max(most, along[i])
-    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = theta, foot[0], foot[1], high - low
+    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = (
+        theta,
+        foot[0],
+        foot[1],
+        high - low,
+    )
     segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_DIVISOR)
 
 
@@ -148,7 +202,9 @@ def foot_of(points: FloatArray, members: IntArray, r: float, theta: float) -> tu
 
 @algebra
 def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float, float]:
-    """Least-squares solution of the first of three columns by the other two, which are made orthonormal: ``basis``."""
+    """Least-squares solution of the first of three columns by the other two, which are made
+    orthonormal: ``basis``.
+    """
     for i in range(count):
         basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
     orthonormalise(values, 1, 3, count)
@@ -164,10 +220,17 @@ def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float
 
 @algebra
 def bend(
-    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
-    factor: FloatArray, segment: FloatArray,
-) -> float:  # fmt: skip
-    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
+    along: FloatArray,
+    ordered: FloatArray,
+    expected: FloatArray,
+    left: FloatArray,
+    basis: FloatArray,
+    factor: FloatArray,
+    segment: FloatArray,
+) -> float:
+    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of
+    the best kink.
+    """
     count = len(along)
     reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
     if count < FEWEST_FOR_SHAPE or reach <= 0.0:
@@ -214,10 +277,19 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 
 @algebra
 def mark_loose_ends(
-    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
-    factor: FloatArray, clear: IntArray, number: int, loose: BoolArray,
-) -> None:  # fmt: skip
-    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
+    along: FloatArray,
+    ordered: FloatArray,
+    expected: FloatArray,
+    left: FloatArray,
+    basis: FloatArray,
+    factor: FloatArray,
+    clear: IntArray,
+    number: int,
+    loose: BoolArray,
+) -> None:
+    """Mark readings at either end that all lie on one side of the line: they belong to another
+    object.
+    """
     count, shape = len(along), np.empty((len(along), 1))
     for i in range(number):
         loose[i] = False
@@ -240,12 +312,19 @@ def mark_loose_ends(
 
 @algebra
 def cut_part(
-    order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, loose: BoolArray, rest: IntArray
+    order: IntArray,
+    first: int,
+    number: int,
+    segment: FloatArray,
+    along: FloatArray,
+    loose: BoolArray,
+    rest: IntArray,
 ) -> int:
-    """Cut a part of ``order`` where it is bent, or cut off its loose ends; into how many parts, 0 if it is straight.
+    """Cut a part of ``order`` where it is bent, or cut off its loose ends; into how many parts, 0
+    if it is straight.
 
-    Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
-    first.
+    Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is
+    to be processed first.
     """
     part, before, behind, firm = order[first : first + number].copy(), 0, 0, 0
     if segment[BENT] > 0.0:
@@ -269,9 +348,17 @@ def cut_part(
 
 @entry
 def cut_at_bends(
-    x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
-    members: IntArray, line: FloatArray, std: float, variances: FloatArray,
-) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+    x: FloatArray,
+    P: FloatArray,
+    start: int,
+    places: IntArray,
+    readings: FloatArray,
+    points: FloatArray,
+    members: IntArray,
+    line: FloatArray,
+    std: float,
+    variances: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:
     """Cut readings near one line into straight segments: at bends, and at ends that bend away.
 
     Parameters
@@ -281,7 +368,8 @@ def cut_at_bends(
     start, places, readings, points
         As of :func:`fit_segment`.
     members, line
-        Indices (n,) of the readings, and the line (2,) as (r, theta), as the Hough transform found it.
+        Indices (n,) of the readings, and the line (2,) as (r, theta), as the Hough transform found
+        it.
     std, variances
         Standard deviation of a short range, m, and the variances of all ranges, m^2.
 
@@ -292,26 +380,61 @@ def cut_at_bends(
     owner
         The segment of each member (n,); -1 for none.
     residuals
-        Residuals of the members (n,), in standard deviations; infinite where a member grazes its segment.
+        Residuals of the members (n,), in standard deviations; infinite where a member grazes its
+        segment.
     """
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
-    block, size, count, waiting = dense_block(P, columns), len(members), 0, int(len(members) >= FEWEST)
-    segments, ends, owner, residuals = np.empty((2**DEEPEST, 7)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
+    block, size, count, waiting = (
+        dense_block(P, columns),
+        len(members),
+        0,
+        int(len(members) >= FEWEST),
+    )
+    segments, ends, owner, residuals = (
+        np.empty((2**DEEPEST, 7)),
+        np.empty((2, 2)),
+        np.full(size, -1),
+        np.empty(size),
+    )
     along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
-    # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and their lines.
+    # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and
+    # their lines.
     parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
-    parts[0, 0], parts[0, 1], parts[0, 2], lines[0, 0], lines[0, 1] = 0, size, DEEPEST, line[0], line[1]
+    parts[0, 0], parts[0, 1], parts[0, 2], lines[0, 0], lines[0, 1] = (
+        0,
+        size,
+        DEEPEST,
+        line[0],
+        line[1],
+    )
     residuals[:] = math.inf
     while waiting:
         waiting -= 1
-        first, number, depth, segment = parts[waiting, 0], parts[waiting, 1], parts[waiting, 2], segments[count]
+        first, number, depth, segment = (
+            parts[waiting, 0],
+            parts[waiting, 1],
+            parts[waiting, 2],
+            segments[count],
+        )
         these = order[first : first + number]
         read = gathered(members, these)
         left, clear = fit_segment(
-            x, start, block, gathered(begins, these), places, readings, points, read,
-            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along, loose,
-        )  # fmt: skip
+            x,
+            start,
+            block,
+            gathered(begins, these),
+            places,
+            readings,
+            points,
+            read,
+            (lines[waiting, 0], lines[waiting, 1]),
+            std,
+            gathered(variances, read),
+            segment,
+            along,
+            loose,
+        )
         if not len(clear):
             continue
         shorter = cut_part(order, first, number, segment, along, loose, rest) if depth else 0

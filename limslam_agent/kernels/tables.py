@@ -12,8 +12,9 @@ FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, TOO_NEAR, TOO_FAR, ANGLE, FARTHEST = range
 """Columns of ``RobotSpec.beam_table``."""
 
 RAY_X, RAY_Y, RAY_TO_X, RAY_TO_Y, RAY_LENGTH, RAY_REACH, RAY_BEAM = range(7)
-"""Columns of a table of rays: origin, m, direction, reading, m, longest reading, m, and number of the beam. A reading
-of a beam that saw nothing is its longest one."""
+"""Columns of a table of rays: origin, m, direction, reading, m, longest reading, m, and number of
+the beam. A reading of a beam that saw nothing is its longest one.
+"""
 
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 """Steps from a cell to those that come after it: rows, columns, and the length in cells."""
@@ -22,20 +23,27 @@ POSE = 3
 """Length of a pose in the filter's state."""
 
 GRAZING = 0.2
-"""Least cosine between a beam and a line's normal. A reading at a flatter angle says too little about the line."""
+"""Least cosine between a beam and a line's normal. A reading at a flatter angle says too little
+about the line.
+"""
 
 FLATTEST = math.acos(GRAZING)
-"""Largest angle between a line's normal and the middle of a beam that does not graze the line, rad."""
+"""Largest angle between a line's normal and the middle of a beam that does not graze the line,
+rad.
+"""
 
 LEAST_DIVISOR = 1e-9
-"""Least number that is divided by, so that a beam parallel to a line meets it very far away, at a finite range."""
+"""Least number that is divided by, so that a beam parallel to a line meets it very far away, at a
+finite range.
+"""
 
 FEWEST_TO_COMPARE = 4
 """Least number of readings that are compared with a line."""
 
 THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, BENT, BEND_AT = range(7)
-"""Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
-splits it: whether it is bent, and where."""
+"""Columns of a segment: the wall's direction, its middle, its length and the direction's standard
+deviation; then what splits it: whether it is bent, and where.
+"""
 
 FEWEST = 6
 """Least number of readings of a wall segment."""
@@ -47,16 +55,21 @@ KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Quantiles of the readings' positions at which a kink is tested for."""
 
 KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
-"""Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad."""
+"""Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that
+kink, rad.
+"""
 
 CURVE_GATE = 14.0
 """Least gain in chi-square (three degrees of freedom) of a smooth curve."""
 
 AROUND_KINK, DEEPEST = 0.02, 4
-"""Readings within this distance of a kink, m, are in neither half; a line is cut at most this many times in a row."""
+"""Readings within this distance of a kink, m, are in neither half; a line is cut at most this many
+times in a row.
+"""
 
 END_ZONE, END_GATE = 0.10, 6.0
-"""Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
+"""Points within this distance of an end, m, belong to another wall if chi-square falls by more than
+this without them.
 """
 
 NOTHING = 0.45
@@ -66,15 +79,18 @@ UNRELATED = 0.02
 """Likelihood that a reading has nothing to do with the map of the place where it was taken."""
 
 THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
-"""A beam has passed through a wall if it is longer than the distance to the wall's line by this many standard
-deviations and by this length, m."""
+"""A beam has passed through a wall if it is longer than the distance to the wall's line by this
+many standard deviations and by this length, m.
+"""
 
 BIN = 0.05
 """Length of a bin, m."""
 
 LOW, LENGTH, GROUPS, READINGS, NUMBER, CHANGES = range(6)
-"""Columns of ``Walls.table``: the first bin, the number of bins, the updates and the readings in them, a number that
-identifies the landmark (an older landmark has a smaller number), and how often the extent has changed."""
+"""Columns of ``Walls.table``: the first bin, the number of bins, the updates and the readings in
+them, a number that identifies the landmark (an older landmark has a smaller number), and how often
+the extent has changed.
+"""
 
 HITS, MISSES = range(2)
 """Rows of ``Walls.counted``."""
@@ -83,12 +99,14 @@ LEAST, MOST = range(2)
 """Rows of ``Walls.reached``, and columns of ``Walls.ends``."""
 
 NEXT_NUMBER, CLOSURES, OVERFLOWS = range(3)
-"""Places in ``Walls.tally``: the number of the next landmark, how many pairs were merged, and how often there was no
-room in the arrays."""
+"""Places in ``Walls.tally``: the number of the next landmark, how many pairs were merged, and how
+often there was no room in the arrays.
+"""
 
 
 class Walls(NamedTuple):
-    """The landmarks of one map, in the order in which the filter holds their lines, with room for further ones.
+    """The landmarks of one map, in the order in which the filter holds their lines, with room for
+    further ones.
 
     For the n maps of a batch, each array has one more axis in front.
 
@@ -97,7 +115,8 @@ class Walls(NamedTuple):
     table
         (landmarks, 6), whose columns are named above.
     counted, reached
-        (landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m along the line.
+        (landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit,
+        m along the line.
     ends
         Positions of the outermost hits (landmarks, 2), m along the line.
     tally
@@ -123,19 +142,23 @@ def empty_walls(landmarks: int, bins: int, *maps: int) -> Walls:
 
 
 POSES_END, LINES_FROM, LINES, CLONES, NEXT_CLONE = range(5)
-"""Places in ``Filter.counts``: where the poses end in the state and where the lines begin, how many lines and clones it
-holds, and the number of the next clone. Clones are numbered in the order in which they are made."""
+"""Places in ``Filter.counts``: where the poses end in the state and where the lines begin, how many
+lines and clones it holds, and the number of the next clone. Clones are numbered in the order in
+which they are made.
+"""
 
 
 class Filter(NamedTuple):
-    """A state of poses, lines and clones, in this order. For the n filters of a batch, each array has one more axis.
+    """A state of poses, lines and clones, in this order. For the n filters of a batch, each array
+    has one more axis.
 
     Attributes
     ----------
     x, P
         State (s,) and covariance (s, s).
     by_errors
-        Derivative (s, k) of the state by the constant errors that it takes to be zero; k is 0 in a batch.
+        Derivative (s, k) of the state by the constant errors that it takes to be zero; k is 0 in a
+        batch.
     anchors, clones
         Of the lines (l, 2), m, and the numbers of the clones (c,), in order.
     counts

@@ -1,7 +1,10 @@
-"""Updates of the filter of poses, lines and clones by readings of one line, and how badly readings fit a line.
+"""Updates of the filter of poses, lines and clones by readings of one line, and how badly readings
+fit a line.
 
-The state and its covariance are those of :mod:`~limslam_agent.kernels.covariance`. Readings and ``places`` are those of
-:mod:`~limslam_agent.kernels.measurement`. Rows of H are stored without zeros, as ``predict_ranges`` fills them.
+The state and its covariance are those of :mod:`~limslam_agent.kernels.covariance`. Readings and
+``places`` are those of
+:mod:`~limslam_agent.kernels.measurement`. Rows of H are stored without zeros, as ``predict_ranges``
+fills them.
 """
 
 import math
@@ -24,7 +27,12 @@ from limslam_env.geometry import FloatArray, IntArray
 
 @algebra
 def clear_readings(
-    x: FloatArray, start: int, places: IntArray, readings: FloatArray, line: int, anchor: tuple[float, float]
+    x: FloatArray,
+    start: int,
+    places: IntArray,
+    readings: FloatArray,
+    line: int,
+    anchor: tuple[float, float],
 ) -> IntArray:
     """Indices of the readings that meet a line ahead of the beam and do not graze it.
 
@@ -51,13 +59,18 @@ def gathered(values: np.ndarray, chosen: IntArray) -> np.ndarray:
 @algebra
 def involved(
     places: IntArray, chosen: IntArray, num_clones: int, start: int, line: int
-) -> tuple[IntArray, IntArray]:  # fmt: skip
-    """Indices in the state of all that readings depend on, and where each reading's clone begins among them (n,).
+) -> tuple[IntArray, IntArray]:
+    """Indices in the state of all that readings depend on, and where each reading's clone begins
+    among them (n,).
 
-    The clones come first, then the line that begins at the index ``line``; no line if that is negative.
+    The clones come first, then the line that begins at the index ``line``; no line if that is
+    negative.
     """
     columns, size = np.empty(POSE * len(chosen) + 2, dtype=np.int64), 0
-    begins, column_of = np.empty(len(chosen), dtype=np.int64), np.full(num_clones, -1, dtype=np.int64)
+    begins, column_of = (
+        np.empty(len(chosen), dtype=np.int64),
+        np.full(num_clones, -1, dtype=np.int64),
+    )
     for i in range(len(chosen)):
         place = places[chosen[i]]
         if column_of[place] < 0:
@@ -73,8 +86,12 @@ def involved(
 
 
 @algebra
-def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variances: FloatArray) -> FloatArray:
-    """H P H^T + R of readings with variances (n,), the lower triangle; ``block`` is the part of P of ``involved``."""
+def covariance_of(
+    block: FloatArray, begins: IntArray, H: FloatArray, variances: FloatArray
+) -> FloatArray:
+    """H P H^T + R of readings with variances (n,), the lower triangle; ``block`` is the part of P
+    of ``involved``.
+    """
     count, size = len(begins), len(block)
     S, row = np.empty((count, count)), np.empty(size)
     # The block holds three rows for each clone, and two for the line if there is one.
@@ -82,7 +99,9 @@ def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variances:
     for i in range(count):
         at = begins[i]
         for j in range(size):
-            row[j] = H[i, 1] * block[at, j] + H[i, 2] * block[at + 1, j] + H[i, 3] * block[at + 2, j]
+            row[j] = (
+                H[i, 1] * block[at, j] + H[i, 2] * block[at + 1, j] + H[i, 3] * block[at + 2, j]
+            )
         if with_line:
             for j in range(size):
                 row[j] += H[i, 4] * block[line, j] + H[i, 5] * block[line + 1, j]
@@ -127,14 +146,21 @@ def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
 
 @entry
 def compare_readings(
-    x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, line: int,
-    anchor: tuple[float, float], variances: FloatArray,
-) -> float:  # fmt: skip
-    """How badly readings fit the line that begins in the state at the index ``line``, as a chi-square.
+    x: FloatArray,
+    P: FloatArray,
+    start: int,
+    places: IntArray,
+    readings: FloatArray,
+    line: int,
+    anchor: tuple[float, float],
+    variances: FloatArray,
+) -> float:
+    """How badly readings fit the line that begins in the state at the index ``line``, as a
+    chi-square.
 
-    This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
-    line", both with the joint uncertainty of poses and line (two degrees of freedom). It is infinite if too few
-    readings meet the line.
+    This is the generalised likelihood ratio of the hypotheses "the readings show this line" and
+    "they show another line", both with the joint uncertainty of poses and line (two degrees of
+    freedom). It is infinite if too few readings meet the line.
     """
     chosen = clear_readings(x, start, places, readings, line, anchor)
     count = len(chosen)
@@ -156,44 +182,74 @@ def compare_readings(
 
 @algebra
 def set_gained(
-    rows: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, variances: FloatArray, HP: FloatArray,
+    rows: FloatArray,
+    columns: IntArray,
+    begins: IntArray,
+    H: FloatArray,
+    variances: FloatArray,
+    HP: FloatArray,
     S: FloatArray,
-) -> None:  # fmt: skip
-    """Set H P (m, size) from those rows of P for which H is not zero, and the lower triangle of S = H P H^T + R."""
+) -> None:
+    """Set H P (m, size) from those rows of P for which H is not zero, and the lower triangle of S =
+    H P H^T + R.
+    """
     line = len(rows) - 2
     for i in range(len(begins)):
         at = begins[i]
         a, b, c, d, e = H[i, 1], H[i, 2], H[i, 3], H[i, 4], H[i, 5]
         for j in range(rows.shape[1]):
             HP[i, j] = (
-                a * rows[at, j] + b * rows[at + 1, j] + c * rows[at + 2, j] + d * rows[line, j] + e * rows[line + 1, j]
+                a * rows[at, j]
+                + b * rows[at + 1, j]
+                + c * rows[at + 2, j]
+                + d * rows[line, j]
+                + e * rows[line + 1, j]
             )
         for m in range(i + 1):
             to, place = columns[line], columns[begins[m]]
             S[i, m] = (
-                HP[i, place] * H[m, 1] + HP[i, place + 1] * H[m, 2] + HP[i, place + 2] * H[m, 3]
-                + HP[i, to] * H[m, 4] + HP[i, to + 1] * H[m, 5]
-            )  # fmt: skip
+                HP[i, place] * H[m, 1]
+                + HP[i, place + 1] * H[m, 2]
+                + HP[i, place + 2] * H[m, 3]
+                + HP[i, to] * H[m, 4]
+                + HP[i, to + 1] * H[m, 5]
+            )
         S[i, i] += variances[i]
 
 
 @algebra
 def iterate(
-    x: FloatArray, P: FloatArray, size: int, begins_of: tuple[int, int, int], anchors: FloatArray, num_lines: int,
-    columns: IntArray, begins: IntArray, places: IntArray, readings: FloatArray, chosen: IntArray, index: int,
-    variances: FloatArray, iterations: int, huber: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Iterate an update by readings of one line, with Huber weights, linearised anew at each iteration.
+    x: FloatArray,
+    P: FloatArray,
+    size: int,
+    begins_of: tuple[int, int, int],
+    anchors: FloatArray,
+    num_lines: int,
+    columns: IntArray,
+    begins: IntArray,
+    places: IntArray,
+    readings: FloatArray,
+    chosen: IntArray,
+    index: int,
+    variances: FloatArray,
+    iterations: int,
+    huber: float,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Iterate an update by readings of one line, with Huber weights, linearised anew at each
+    iteration.
 
-    ``columns`` and ``begins`` are those of :func:`involved`, ``chosen`` (m,) are the readings that are used, with
-    ``variances`` (m,), m^2, and ``huber`` limits the weights. x is moved to where the last iteration linearises.
+    ``columns`` and ``begins`` are those of :func:`involved`, ``chosen`` (m,) are the readings that
+    are used, with ``variances`` (m,), m^2, and ``huber`` limits the weights. x is moved to where
+    the last iteration linearises.
 
     Returns
     -------
     moved
-        The change of the error transport (size, 3) until the last iteration. P is transported by it.
+        The change of the error transport (size, 3) until the last iteration. P is transported by
+        it.
     H, factor, W, innovation
-        H (m, 7) of the last iteration, the Cholesky factor L of S, L^-1 H P (m, size), and the innovation (m,).
+        H (m, 7) of the last iteration, the Cholesky factor L of S, L^-1 H P (m, size), and the
+        innovation (m,).
     change
         What is still to be added to the state (size,).
     """
@@ -202,7 +258,12 @@ def iterate(
     moved, at_first, pose = np.zeros((size, POSE)), np.empty((size, POSE)), np.empty((POSE, size))
     fill_transport(x, size, begins_of, anchors, num_lines, at_first)
     rows = dense_rows(P, size, begins_of[0], columns)
-    H, HP, shifted, further = np.empty((count, 7)), np.empty((count, size)), rows, np.empty(rows.shape)
+    H, HP, shifted, further = (
+        np.empty((count, 7)),
+        np.empty((count, size)),
+        rows,
+        np.empty(rows.shape),
+    )
     change, scaled, S = np.zeros(size), variances.copy(), np.empty((count, count))
     off, solution = np.empty(count), np.empty(count)
     for iteration in range(iterations):
@@ -232,22 +293,56 @@ def iterate(
 
 @entry
 def update_by_readings(
-    x: FloatArray, P: FloatArray, size: int, begins_of: tuple[int, int, int], anchors: FloatArray, num_lines: int,
-    index: int, places: IntArray, readings: FloatArray, variances: FloatArray, iterations: int, huber: float,
+    x: FloatArray,
+    P: FloatArray,
+    size: int,
+    begins_of: tuple[int, int, int],
+    anchors: FloatArray,
+    num_lines: int,
+    index: int,
+    places: IntArray,
+    readings: FloatArray,
+    variances: FloatArray,
+    iterations: int,
+    huber: float,
 ) -> tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray, IntArray
-]:  # fmt: skip
-    """Find an update by readings of one line, for ``correct_state`` to finish; there is none if none meets the line.
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    IntArray,
+    FloatArray,
+    FloatArray,
+    FloatArray,
+    IntArray,
+]:
+    """Find an update by readings of one line, for ``correct_state`` to finish; there is none if
+    none meets the line.
 
-    Returned are ``moved`` and ``change`` of :func:`iterate`, what ``predict_ranges`` fills (m, 7), H (m, k) for states
-    (k,) and these states, factor, W and innovation of :func:`iterate`, and the indices (m,) of the readings that are
-    used.
+    Returned are ``moved`` and ``change`` of :func:`iterate`, what ``predict_ranges`` fills (m, 7),
+    H (m, k) for states (k,) and these states, factor, W and innovation of :func:`iterate`, and the
+    indices (m,) of the readings that are used.
     """
     line, start = begins_of[1] + 2 * index, begins_of[2]
-    chosen = clear_readings(x, start, places, readings, line, (anchors[index, 0], anchors[index, 1]))
+    chosen = clear_readings(
+        x, start, places, readings, line, (anchors[index, 0], anchors[index, 1])
+    )
     columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
     moved, H, factor, W, off, change = iterate(
-        x, P, size, begins_of, anchors, num_lines, columns, begins, places, readings, chosen, index,
-        gathered(variances, chosen), iterations if len(chosen) else 0, huber,
-    )  # fmt: skip
+        x,
+        P,
+        size,
+        begins_of,
+        anchors,
+        num_lines,
+        columns,
+        begins,
+        places,
+        readings,
+        chosen,
+        index,
+        gathered(variances, chosen),
+        iterations if len(chosen) else 0,
+        huber,
+    )
     return moved, change, H, with_zeros(H, begins, len(columns)), columns, factor, W, off, chosen

@@ -1,1 +1,3 @@
-"""Live robots: the line protocol, serial ports and UDP, and the session that drives a robot and records it."""
+"""Live robots: the line protocol, serial ports and UDP, and the session that drives a robot and
+records it.
+"""

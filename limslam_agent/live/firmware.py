@@ -1,4 +1,5 @@
-"""What runs on the robot: it says hello, obeys commands, sends telemetry, and stops the wheels when nothing comes.
+"""What runs on the robot: it says hello, obeys commands, sends telemetry, and stops the wheels when
+nothing comes.
 
 ``examples/live/limslam_link.c`` is the same in C, and tests compare the two.
 """
@@ -38,8 +39,8 @@ _SPAN = 1 << 32
 class Firmware:
     """The robot's side of the protocol.
 
-    ``has_host``: it has been greeted, and has heard the host since. ``awaits_answer``: the host has not yet answered
-    its latest telemetry.
+    ``has_host``: it has been greeted, and has heard the host since. ``awaits_answer``: the host has
+    not yet answered its latest telemetry.
     """
 
     def __init__(self, hello: Hello) -> None:
@@ -64,7 +65,9 @@ class Firmware:
         is_new = self.has_host and difference(message.seq, self._ack) > 0
         if isinstance(message, Stop):
             self._left = self._right = 0
-        if isinstance(message, Stop) or (isinstance(message, Speeds) and difference(message.answers, self._seq) >= -1):
+        if isinstance(message, Stop) or (
+            isinstance(message, Speeds) and difference(message.answers, self._seq) >= -1
+        ):
             self.awaits_answer = False
         if is_new:
             self._ack, self._heard = message.seq, now
@@ -73,7 +76,9 @@ class Firmware:
         return True
 
     def speeds(self, now: int) -> tuple[int, int]:
-        """Left and right wheel speed at the time ``now`` (ms), mm/s. The watchdog stops the wheels here."""
+        """Left and right wheel speed at the time ``now`` (ms), mm/s. The watchdog stops the wheels
+        here.
+        """
         silence = difference(now, self._heard)
         if silence > self.hello.watchdog_ms and (self._left or self._right):
             self._left = self._right = 0
@@ -90,7 +95,9 @@ class Firmware:
             lines.append(encode(self.hello))
         if self.has_host:
             left, right = (difference(each % _SPAN, 0) for each in ticks)
-            measured = Telemetry(self._seq, now % _SPAN, left, right, self._ack, int(self._is_stopped), ranges)
+            measured = Telemetry(
+                self._seq, now % _SPAN, left, right, self._ack, int(self._is_stopped), ranges
+            )
             lines.append(encode(measured))
             self._seq = (self._seq + 1) % _SPAN
         self.awaits_answer = self.has_host

@@ -10,11 +10,11 @@ from limslam_agent.replay.replay import replay_log, write_replay
 
 
 def write_session(folder: Path, session: Session, title: str, reason: str) -> dict[str, Any]:
-    """Write log, map, trajectories, picture and result of a session that has ended for a reason, into an existing
-    folder. Returns the content of ``result.json``.
+    """Write log, map, trajectories, picture and result of a session that has ended for a reason,
+    into an existing folder. Returns the content of ``result.json``.
 
-    The log is replayed, because lines that came late are in their places in it. What is written is therefore what
-    ``limslam replay`` makes of the log.
+    The log is replayed, because lines that came late are in their places in it. What is written is
+    therefore what ``limslam replay`` makes of the log.
     """
     session.recording.save(folder / LOG)
     replay = replay_log(session.recording.log(), session.agent.config)
@@ -26,16 +26,24 @@ def session_lines(result: dict[str, Any]) -> list[str]:
     """A session in a few lines of text, from its ``result.json``."""
     metrics = result["metrics"]
     period, delay = metrics["period_s"], metrics["loop_delay_s"]
-    times = [f"{words} {1e3 * seconds:.0f} ms" for words, seconds in (("period", period), ("delay", delay)) if seconds]
+    times = [
+        f"{words} {1e3 * seconds:.0f} ms"
+        for words, seconds in (("period", period), ("delay", delay))
+        if seconds
+    ]
     counts = [
         f"{metrics[name]} {words}"
         for name, words in (
-            ("packets_lost", "lines lost"), ("packets_late", "late"), ("packets_doubled", "doubled"),
-            ("packets_implausible", "implausible"), ("lines_bad", "not readable"),
-            ("reconnections", "reconnections"), ("watchdog_stops", "stops by the watchdog"),
+            ("packets_lost", "lines lost"),
+            ("packets_late", "late"),
+            ("packets_doubled", "doubled"),
+            ("packets_implausible", "implausible"),
+            ("lines_bad", "not readable"),
+            ("reconnections", "reconnections"),
+            ("watchdog_stops", "stops by the watchdog"),
         )
         if metrics[name]
-    ]  # fmt: skip
+    ]
     link = ", ".join([f"{metrics['packets']} lines", *times, *counts])
     return [
         *record_summary(result),

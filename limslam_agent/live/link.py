@@ -5,7 +5,16 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-from limslam_agent.live.protocol import VERSION, BadLineError, Command, Greeting, Hello, Message, decode, encode
+from limslam_agent.live.protocol import (
+    VERSION,
+    BadLineError,
+    Command,
+    Greeting,
+    Hello,
+    Message,
+    decode,
+    encode,
+)
 from limslam_agent.live.transports import Transport
 
 POLL = 0.02
@@ -34,14 +43,16 @@ class Connection(ABC):
 
     @property
     def late(self) -> int:
-        """Number of measurements that the connection itself has left out, because they came late or twice. Those of
-        lines are found by their sequence numbers, in the recording.
+        """Number of measurements that the connection itself has left out, because they came late or
+        twice. Those of lines are found by their sequence numbers, in the recording.
         """
         return 0
 
     @abstractmethod
     def first_hello(self, patience: float) -> Hello:
-        """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience`` s."""
+        """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience``
+        s.
+        """
 
     @abstractmethod
     def receive(self, timeout: float) -> list[Message]:
@@ -89,8 +100,8 @@ class Link(Connection):
             self.send(Greeting(VERSION, self._seq))
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait for the robot. Raises a NoRobotError if none has said hello after ``patience`` s, or if it speaks
-        another version of the protocol.
+        """Wait for the robot. Raises a NoRobotError if none has said hello after ``patience`` s, or
+        if it speaks another version of the protocol.
         """
         begin = self.clock()
         while self.clock() - begin <= patience:
@@ -105,6 +116,7 @@ class Link(Connection):
 def _checked(hello: Hello) -> Hello:
     if hello.version != VERSION:
         raise NoRobotError(
-            f"the robot {hello.name} speaks version {hello.version} of the protocol, and this program version {VERSION}"
+            f"the robot {hello.name} speaks version {hello.version} of the protocol, and this "
+            f"program version {VERSION}"
         )
     return hello

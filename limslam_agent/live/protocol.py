@@ -1,8 +1,9 @@
 """The line protocol between a robot and its host: pure functions from messages to lines and back.
 
-A line is ``LETTER,field,...*CHECK`` and ends with a newline. The fields are decimal numbers. ``CHECK`` is the checksum
-of everything before the asterisk: CRC-16 with the polynomial 0x1021 and the initial value 0xFFFF, as four hexadecimal
-digits. ``docs/live.md`` describes each message, and ``examples/live/limslam_link.c`` is the same in C.
+A line is ``LETTER,field,...*CHECK`` and ends with a newline. The fields are decimal numbers.
+``CHECK`` is the checksum of everything before the asterisk: CRC-16 with the polynomial 0x1021 and
+the initial value 0xFFFF, as four hexadecimal digits. ``docs/live.md`` describes each message, and
+``examples/live/limslam_link.c`` is the same in C.
 """
 
 import binascii
@@ -26,7 +27,10 @@ NO_READING = "-"
 """Stands in place of a range where a beam has no new reading."""
 
 _SPAN = 1 << 32
-_NAME, _NUMBER = re.compile(r"[A-Za-z0-9_.-]{1,24}", re.ASCII), re.compile(r"-?[0-9]{1,10}", re.ASCII)
+_NAME, _NUMBER = (
+    re.compile(r"[A-Za-z0-9_.-]{1,24}", re.ASCII),
+    re.compile(r"-?[0-9]{1,10}", re.ASCII),
+)
 
 _U8 = Annotated[int, Bounds(0, 255)]
 _U32 = Annotated[int, Bounds(0, _SPAN - 1)]
@@ -49,7 +53,8 @@ class Hello:
     beams: Annotated[int, Bounds(1, MAX_BEAMS)]  # number of range readings in each telemetry line
     nm_per_tick: Annotated[int, Bounds(1, _SPAN - 1)]  # wheel travel for each tick, nm
     period_ms: _Amount  # time between two telemetry lines, ms
-    watchdog_ms: _Amount  # time without a line from the host after which the robot stops its wheels, ms
+    # time without a line from the host after which the robot stops its wheels, ms
+    watchdog_ms: _Amount
 
 
 @dataclass(frozen=True)
@@ -58,18 +63,24 @@ class Telemetry:
 
     seq: _U32  # one more in each line
     time_ms: _U32  # clock of the robot at the measurement, ms
-    # Ticks of the wheels since the robot was switched on. They count on, so that a lost line loses no travel.
+    # Ticks of the wheels since the robot was switched on. They count on, so that a lost line loses
+    # no travel.
     left: _I32
     right: _I32
     ack: _U32  # sequence number of the newest command that the robot has obeyed
-    stopped: Annotated[int, Bounds(0, 1)]  # 1 if the watchdog has stopped the wheels since the last command of speeds
-    # Reading of each beam, mm. None where there is no new reading, ``NOTHING_SEEN`` where nothing was seen.
+    stopped: Annotated[
+        int, Bounds(0, 1)
+    ]  # 1 if the watchdog has stopped the wheels since the last command of speeds
+    # Reading of each beam, mm. None where there is no new reading, ``NOTHING_SEEN`` where nothing
+    # was seen.
     ranges: tuple[int | None, ...]
 
 
 @dataclass(frozen=True)
 class Greeting:
-    """``Q``, host to robot: begin to send telemetry. Commands have larger sequence numbers than ``seq``."""
+    """``Q``, host to robot: begin to send telemetry. Commands have larger sequence numbers than
+    ``seq``.
+    """
 
     version: _U8
     seq: _U32
@@ -77,7 +88,9 @@ class Greeting:
 
 @dataclass(frozen=True)
 class Speeds:
-    """``V``, host to robot: turn the wheels at ``left`` and ``right`` mm/s. It answers the telemetry ``answers``."""
+    """``V``, host to robot: turn the wheels at ``left`` and ``right`` mm/s. It answers the
+    telemetry ``answers``.
+    """
 
     seq: _U32
     answers: _U32
@@ -103,14 +116,23 @@ Message: TypeAlias = Hello | Telemetry | Greeting | Speeds | Heartbeat | Stop
 Command: TypeAlias = Greeting | Speeds | Heartbeat | Stop
 
 _KINDS: dict[str, type[Message]] = {
-    "H": Hello, "S": Telemetry, "Q": Greeting, "V": Speeds, "P": Heartbeat, "X": Stop,
-}  # fmt: skip
+    "H": Hello,
+    "S": Telemetry,
+    "Q": Greeting,
+    "V": Speeds,
+    "P": Heartbeat,
+    "X": Stop,
+}
 _LETTERS = {kind: letter for letter, kind in _KINDS.items()}
-_FIELDS = {kind: [field.name for field in fields(kind) if field.name != "ranges"] for kind in _LETTERS}
+_FIELDS = {
+    kind: [field.name for field in fields(kind) if field.name != "ranges"] for kind in _LETTERS
+}
 
 
 def encode(message: Message) -> bytes:
-    """The line of a message, with its checksum and its newline. Raises a BadLineError if a value is out of bounds."""
+    """The line of a message, with its checksum and its newline. Raises a BadLineError if a value is
+    out of bounds.
+    """
     kind = type(message)
     words = [_LETTERS[kind], *(str(getattr(message, name)) for name in _FIELDS[kind])]
     if isinstance(message, Telemetry):
@@ -121,8 +143,8 @@ def encode(message: Message) -> bytes:
 
 
 def decode(line: bytes) -> Message:
-    """The message of a line, with or without its newline. Raises a BadLineError if the line is not a message. Nothing
-    else is raised, whatever the line holds.
+    """The message of a line, with or without its newline. Raises a BadLineError if the line is not
+    a message. Nothing else is raised, whatever the line holds.
     """
     line = line.removesuffix(b"\n").removesuffix(b"\r")
     body, asterisk, check = line.rpartition(b"*")
@@ -138,13 +160,22 @@ def _read(kind: type[Message], words: list[str]) -> Message:
     """The message of a kind from the words of its line."""
     names, count = _FIELDS[kind], len(words) - len(_FIELDS[kind])
     if not (1 <= count <= MAX_BEAMS if kind is Telemetry else count == 0):
-        raise BadLineError(f"a message {_LETTERS[kind]} has {len(names)} fields; telemetry has 1 to {MAX_BEAMS} ranges")
+        raise BadLineError(
+            f"a message {_LETTERS[kind]} has {len(names)} fields; telemetry has 1 to {MAX_BEAMS} "
+            "ranges"
+        )
     given = zip(names, words, strict=False)
-    values: dict[str, Any] = {name: word if name == "name" else _number(word) for name, word in given}
+    values: dict[str, Any] = {
+        name: word if name == "name" else _number(word) for name, word in given
+    }
     if kind is Telemetry:
-        values["ranges"] = tuple(None if word == NO_READING else _number(word) for word in words[len(names) :])
+        values["ranges"] = tuple(
+            None if word == NO_READING else _number(word) for word in words[len(names) :]
+        )
     if not _NAME.fullmatch(values.get("name", "robot")):
-        raise BadLineError(f"{values['name']!r} is not a name of 1 to 24 letters, digits, '_', '.' or '-'")
+        raise BadLineError(
+            f"{values['name']!r} is not a name of 1 to 24 letters, digits, '_', '.' or '-'"
+        )
     if any(each is not None and not 0 <= each <= NOTHING_SEEN for each in values.get("ranges", ())):
         raise BadLineError(f"a range is not a number from 0 to {NOTHING_SEEN}")
     try:
@@ -167,5 +198,7 @@ def checksum(body: bytes) -> int:
 
 
 def difference(new: int, old: int) -> int:
-    """How far a counter of 32 bits has come, from ``old`` to ``new``. It may have overflowed, or step back."""
+    """How far a counter of 32 bits has come, from ``old`` to ``new``. It may have overflowed, or
+    step back.
+    """
     return (new - old + _SPAN // 2) % _SPAN - _SPAN // 2

@@ -25,14 +25,17 @@ SAVED_EVERY = 30.0
 
 
 class Row(NamedTuple):
-    """One telemetry line in a frame that still holds when counters overflow and when the robot was restarted."""
+    """One telemetry line in a frame that still holds when counters overflow and when the robot was
+    restarted.
+    """
 
     number: int  # Place in the log. Lost lines leave gaps.
     time: float  # Time of the measurement since the first row, s, by the robot's clock
     # Wheel travel since the first row, m
     left: float
     right: float
-    # Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was seen.
+    # Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was
+    # seen.
     ranges: FloatArray
     is_late: bool = False  # Whether a later measurement had already arrived
 
@@ -45,8 +48,9 @@ class Recording:
     newest
         The latest measurement. None at the start.
     doubled, late, implausible
-        Numbers of telemetry lines that came twice, that came after a later one, and that no such robot can have sent:
-        a wheel was far too fast, the clock stood still, or there is another number of beams.
+        Numbers of telemetry lines that came twice, that came after a later one, and that no such
+        robot can have sent: a wheel was far too fast, the clock stood still, or there is another
+        number of beams.
     """
 
     def __init__(self, robot: RobotSpec, hello: Hello) -> None:
@@ -77,17 +81,23 @@ class Recording:
     def period(self) -> float:
         """Median time between two measurements by the robot's clock, s. NaN for fewer than two."""
         rows = self._sorted()
-        steps = [(after.time - before.time) / (after.number - before.number) for before, after in pairwise(rows)]
+        steps = [
+            (after.time - before.time) / (after.number - before.number)
+            for before, after in pairwise(rows)
+        ]
         return float(np.median(steps)) if steps else math.nan
 
     def restart(self) -> None:
-        """Begin with new counters, because the robot was switched on again. Its travel in between is not known."""
+        """Begin with new counters, because the robot was switched on again. Its travel in between
+        is not known.
+        """
         self._origin = None
 
     def add(self, packet: Telemetry, gap: float = 0.0) -> Row | None:
         """Record telemetry. None if it is not believed, or was there before.
 
-        ``gap`` is the time since the newest row, s, which counts only if the robot was switched on again.
+        ``gap`` is the time since the newest row, s, which counts only if the robot was switched on
+        again.
         """
         row = self._placed(packet, gap)
         if row is None:
@@ -107,8 +117,14 @@ class Recording:
         return row
 
     def observation(self, row: Row, before: Row | None) -> Observation:
-        """What the agent is told: the ranges of a row, and the wheel travel since the row before, if there is one."""
-        wheels = np.zeros(2) if before is None else np.array([row.left - before.left, row.right - before.right])
+        """What the agent is told: the ranges of a row, and the wheel travel since the row before,
+        if there is one.
+        """
+        wheels = (
+            np.zeros(2)
+            if before is None
+            else np.array([row.left - before.left, row.right - before.right])
+        )
         return {"ranges": row.ranges, "wheels": wheels}
 
     def note_action(self, row: Row, action: FloatArray) -> None:
@@ -116,27 +132,37 @@ class Recording:
         self._actions[row.number] = action
 
     def log(self) -> RecordedLog:
-        """All rows as a log, in the order of measurement, with those that came late in their places. Raises a
-        ValueError if there are no rows.
+        """All rows as a log, in the order of measurement, with those that came late in their
+        places. Raises a ValueError if there are no rows.
         """
         rows = self._sorted()
         travel = np.array([(row.left, row.right) for row in rows]).reshape(-1, 2)
-        times, ranges = np.array([row.time - rows[0].time for row in rows]), np.array([row.ranges for row in rows])
+        times, ranges = (
+            np.array([row.time - rows[0].time for row in rows]),
+            np.array([row.ranges for row in rows]),
+        )
         wheels = np.diff(travel, axis=0, prepend=travel[:1])
-        return RecordedLog(self.robot, times, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels)
+        return RecordedLog(
+            self.robot, times, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels
+        )
 
     def save(self, path: Path) -> None:
-        """Write the rows as ``log.npz``, which ``limslam replay`` reads. Raises a ValueError if there are none, and an
-        OSError if the file cannot be written.
+        """Write the rows as ``log.npz``, which ``limslam replay`` reads. Raises a ValueError if
+        there are none, and an OSError if the file cannot be written.
         """
         log = self.log()
         nothing = np.zeros(2)
         actions = np.array([self._actions.get(number, nothing) for number in sorted(self._rows)])
         with atomic_write(path) as beside:
             write_npz(
-                beside, log.robot, time=log.time, ranges=log.ranges, wheels=log.wheels, action=actions,
+                beside,
+                log.robot,
+                time=log.time,
+                ranges=log.ranges,
+                wheels=log.wheels,
+                action=actions,
                 start_pose=log.start_pose,
-            )  # fmt: skip
+            )
 
     def _sorted(self) -> list[Row]:
         return [self._rows[number] for number in sorted(self._rows)]
@@ -176,10 +202,14 @@ class Recording:
 
 
 @contextmanager
-def kept(recording: Recording, path: Path, report: Callable[[], None]) -> Iterator[Callable[[], None]]:
-    """Keep a copy of the log on disk, so that no error and no loss of power costs more than half a minute.
+def kept(
+    recording: Recording, path: Path, report: Callable[[], None]
+) -> Iterator[Callable[[], None]]:
+    """Keep a copy of the log on disk, so that no error and no loss of power costs more than half a
+    minute.
 
-    The copy is removed when the context ends without an error. Otherwise it has all rows, and ``report`` is called.
+    The copy is removed when the context ends without an error. Otherwise it has all rows, and
+    ``report`` is called.
 
     Yields
     ------

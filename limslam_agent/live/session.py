@@ -1,4 +1,6 @@
-"""A session with a live robot: telemetry in, wheel speeds out, until the agent is done or the robot is gone."""
+"""A session with a live robot: telemetry in, wheel speeds out, until the agent is done or the robot
+is gone.
+"""
 
 import math
 from collections import deque
@@ -9,7 +11,17 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.live.link import POLL, Connection
-from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry, difference
+from limslam_agent.live.protocol import (
+    VERSION,
+    Command,
+    Heartbeat,
+    Hello,
+    Message,
+    Speeds,
+    Stop,
+    Telemetry,
+    difference,
+)
 from limslam_agent.live.recording import MM, Recording, Row
 from limslam_agent.live.transports import SILENT_AFTER
 from limslam_agent.mapping.team import LimSlamAgent
@@ -20,7 +32,9 @@ OUT_OF_TIME = "time: the longest time of the session is over"
 BY_HAND = "stopped by hand"
 
 HEARTBEAT_AFTER, HOLD = 1.5, 3.0
-"""Periods without telemetry after which the host sends heartbeats, and after which it stops the wheels."""
+"""Periods without telemetry after which the host sends heartbeats, and after which it stops the
+wheels.
+"""
 
 LINK_DELAY = 2.0
 """Delay of the loop, in periods, up to which the robot drives at the speed that the agent wants."""
@@ -39,8 +53,12 @@ class Wired:
     # The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
     robot: Callable[[Hello], RobotSpec]
     # The policy that drives, from the one that was asked for; None is that of the agent itself
-    policy: Callable[[Policy | None, AgentConfig, RobotSpec], Policy | None] = lambda policy, _config, _robot: policy
-    watch: Callable[["Session"], None] = lambda _: None  # Called with the session after each decision
+    policy: Callable[[Policy | None, AgentConfig, RobotSpec], Policy | None] = (
+        lambda policy, _config, _robot: policy
+    )
+    watch: Callable[["Session"], None] = lambda _: (
+        None
+    )  # Called with the session after each decision
     # Called with the session before each decision, and again and again while the robot is silent
     obey: Callable[["Session"], None] = lambda _: None
 
@@ -48,17 +66,19 @@ class Wired:
 class Session:
     """Drives a robot, and records what it sends.
 
-    The agent is made for ``recording.robot``. ``watch`` and ``obey`` are as in :class:`Wired`, and ``obey`` may set the
-    attributes below.
+    The agent is made for ``recording.robot``. ``watch`` and ``obey`` are as in :class:`Wired`, and
+    ``obey`` may set the attributes below.
 
     Attributes
     ----------
     reconnections
-        Number of times that the robot was heard again after it had been silent for a second, or was restarted.
+        Number of times that the robot was heard again after it had been silent for a second, or was
+        restarted.
     watchdog_stops
         Number of times that the robot's watchdog has stopped the wheels.
     is_paused
-        Whether the robot only maps. The wheels are stopped once, and then get no command, so that a person can drive.
+        Whether the robot only maps. The wheels are stopped once, and then get no command, so that a
+        person can drive.
     asked_to_end
         Why the session shall end, in words. None while it goes on.
     """
@@ -75,7 +95,9 @@ class Session:
         self.link, self.agent, self.recording = link, agent, recording
         self.reconnections = self.watchdog_stops = 0
         self._hello, self._watch, self._obey = hello, watch, obey
-        agent.mapper.longest_travel = math.inf  # the recording knows the times, and checks the travel
+        agent.mapper.longest_travel = (
+            math.inf
+        )  # the recording knows the times, and checks the travel
         self._observed: Row | None = None
         self._last_new = self._last_command = link.clock()
         self._was_stopped = self._is_connected = self.is_paused = self._is_silent = False
@@ -84,9 +106,9 @@ class Session:
         self._delays: deque[float] = deque(maxlen=_DELAYS)
 
     def drive(self, max_time: float, patience: float) -> str:
-        """Drive until the agent is done, ``max_time`` (s, by the robot's clock) is over, the robot has sent no new
-        telemetry for ``patience`` s, or Ctrl-C is pressed. The wheels are stopped in any case, before anything else.
-        Returns why the session has ended.
+        """Drive until the agent is done, ``max_time`` (s, by the robot's clock) is over, the robot
+        has sent no new telemetry for ``patience`` s, or Ctrl-C is pressed. The wheels are stopped
+        in any case, before anything else. Returns why the session has ended.
         """
         self._last_new = self.link.clock()
         reason: str | None = None
@@ -101,7 +123,8 @@ class Session:
 
     @property
     def delay(self) -> float:
-        """Median time from a measurement to the measurement that shows its answer, s, by the robot's clock.
+        """Median time from a measurement to the measurement that shows its answer, s, by the
+        robot's clock.
 
         NaN as long as it is unknown.
         """
@@ -109,7 +132,9 @@ class Session:
 
     @property
     def speed_share(self) -> float:
-        """Share of the wanted speeds at which the robot drives, 0 to 1: the later it obeys, the slower it drives."""
+        """Share of the wanted speeds at which the robot drives, 0 to 1: the later it obeys, the
+        slower it drives.
+        """
         periods = self.delay / self.recording.robot.control_period
         return min(1.0, LINK_DELAY / periods) if periods > 0.0 else 1.0
 
@@ -141,7 +166,9 @@ class Session:
                 self._rest()
             self._keep_alive()
             silence = self.link.clock() - self._last_new
-            return f"the robot has sent nothing new for {patience:g} s" if silence > patience else None
+            return (
+                f"the robot has sent nothing new for {patience:g} s" if silence > patience else None
+            )
         for row in fresh:
             self.agent.observe(self.recording.observation(row, self._observed))
             self._observed = row
@@ -151,7 +178,9 @@ class Session:
         else:
             self._answer(fresh[-1])
         self._watch(self)
-        self._last_new = self.link.clock()  # silence is what the host has listened to, not what it has computed for
+        self._last_new = (
+            self.link.clock()
+        )  # silence is what the host has listened to, not what it has computed for
         if self.asked_to_end is not None:
             return self.asked_to_end
         if self.agent.done:
@@ -171,7 +200,8 @@ class Session:
         return rows + self._record(packets)
 
     def _record(self, packets: list[Telemetry]) -> list[Row]:
-        # Lines that have overtaken each other on their way are put in order, if they are here together.
+        # Lines that have overtaken each other on their way are put in order, if they are here
+        # together.
         first = packets[0].seq if packets else 0
         fresh = []
         for packet in sorted(packets, key=lambda each: difference(each.seq, first)):
@@ -183,7 +213,11 @@ class Session:
 
     def _is_restart(self, hello: Hello) -> bool:
         """Whether the robot was switched on again."""
-        is_same_robot = (hello.version, hello.beams, hello.name) == (VERSION, self._hello.beams, self._hello.name)
+        is_same_robot = (hello.version, hello.beams, hello.name) == (
+            VERSION,
+            self._hello.beams,
+            self._hello.name,
+        )
         return is_same_robot and hello.boot != self._hello.boot
 
     def _restart(self, hello: Hello) -> None:
@@ -211,7 +245,9 @@ class Session:
         action = np.clip(self.agent.decide(), -1.0, 1.0) * self.speed_share
         self.recording.note_action(row, action)
         seq = self.link.next_seq()
-        left, right = (round(self.recording.robot.max_wheel_speed * share / MM) for share in action.tolist())
+        left, right = (
+            round(self.recording.robot.max_wheel_speed * share / MM) for share in action.tolist()
+        )
         self._sent.append((seq, row.time))
         self._command(Speeds(seq, self.recording.newest_seq, left, right))
         self._is_silent = False
@@ -227,7 +263,9 @@ class Session:
         self.link.send(command)
 
     def _keep_alive(self) -> None:
-        """Without telemetry, hold the speeds for a short time, then stop; and look for the robot."""
+        """Without telemetry, hold the speeds for a short time, then stop; and look for the
+        robot.
+        """
         now, period = self.link.clock(), self.recording.robot.control_period
         silence = now - self._last_new
         if silence > SILENT_AFTER or self._observed is None:
@@ -250,5 +288,7 @@ class Session:
             self.link.send(Stop(seq))
             messages = self.link.receive(_STOP_WAIT)
             self._take(messages)
-            if any(isinstance(each, Telemetry) and difference(each.ack, seq) >= 0 for each in messages):
+            if any(
+                isinstance(each, Telemetry) and difference(each.ack, seq) >= 0 for each in messages
+            ):
                 return

@@ -23,20 +23,26 @@ _MOST_BYTES = 65536
 
 
 class LineBuffer:
-    """Cuts a stream of bytes into lines. A line that is too long is cut, so that noise cannot fill the memory."""
+    """Cuts a stream of bytes into lines. A line that is too long is cut, so that noise cannot fill
+    the memory.
+    """
 
     def __init__(self) -> None:
         self._rest = b""
 
     def add(self, data: bytes) -> list[bytes]:
-        """The lines, without their ends, that are complete with these bytes. Empty lines are left out."""
+        """The lines, without their ends, that are complete with these bytes. Empty lines are left
+        out.
+        """
         *lines, self._rest = (self._rest + data).split(b"\n")
         self._rest = self._rest[-LONGEST_LINE:]
         return [line.rstrip(b"\r") for line in lines if line.strip()]
 
 
 def datagrams(source: socket.socket, timeout: float) -> list[tuple[bytes, tuple[str, int]]]:
-    """The datagrams that have arrived, each ended as a line, and their senders. Waits at most ``timeout`` s."""
+    """The datagrams that have arrived, each ended as a line, and their senders. Waits at most
+    ``timeout`` s.
+    """
     select.select([source], [], [], timeout)
     found = []
     # On Windows, a datagram that could not be delivered is reported by the next read.
@@ -50,9 +56,10 @@ def datagrams(source: socket.socket, timeout: float) -> list[tuple[bytes, tuple[
 class UdpTransport:
     """A UDP socket on which the host listens. The robot finds the host, and says hello.
 
-    The first robot that says hello is the one that is driven. Datagrams of other senders are ignored until that robot
-    has been silent for a second. The host listens on all of its addresses; the port 0 chooses a free one. Raises a
-    ValueError if it is no number of a port, and an OSError if the port cannot be used.
+    The first robot that says hello is the one that is driven. Datagrams of other senders are
+    ignored until that robot has been silent for a second. The host listens on all of its addresses;
+    the port 0 chooses a free one. Raises a ValueError if it is no number of a port, and an OSError
+    if the port cannot be used.
     """
 
     def __init__(self, port: int) -> None:
@@ -71,7 +78,11 @@ class UdpTransport:
 
     def receive(self, timeout: float) -> list[bytes]:
         """The lines of all datagrams that have arrived."""
-        arrived = [data for data, sender in datagrams(self._socket, timeout) if self._is_robot(data, sender)]
+        arrived = [
+            data
+            for data, sender in datagrams(self._socket, timeout)
+            if self._is_robot(data, sender)
+        ]
         return [line for data in arrived for line in LineBuffer().add(data)]
 
     def _is_robot(self, data: bytes, sender: tuple[str, int]) -> bool:
@@ -96,8 +107,9 @@ class UdpTransport:
 
 
 class SerialTransport:
-    """A serial port, like ``/dev/ttyUSB0`` or ``COM3``. If it is unplugged, it is opened again as soon as it is back.
-    Raises a ValueError if pyserial is not installed, or the port cannot be opened.
+    """A serial port, like ``/dev/ttyUSB0`` or ``COM3``. If it is unplugged, it is opened again as
+    soon as it is back. Raises a ValueError if pyserial is not installed, or the port cannot be
+    opened.
     """
 
     def __init__(self, port: str, baud: int) -> None:

@@ -1,4 +1,5 @@
-"""Reads CARMEN logs and keeps a few beams of the laser, so that a robot with many beams becomes a sparse robot.
+"""Reads CARMEN logs and keeps a few beams of the laser, so that a robot with many beams becomes a
+sparse robot.
 
 These lines are used. The odometry is the *second* pose of a scan::
 
@@ -11,7 +12,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
+from limslam_agent.logs.pose_log import (
+    BODY_RADIUS,
+    MIN_RANGE,
+    check_max_range,
+    median_spacing,
+    nearest_beams,
+)
 from limslam_agent.logs.recorded_log import (
     FilePath,
     RecordedLog,
@@ -24,8 +31,8 @@ from limslam_agent.logs.recorded_log import (
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
 
-# Most of these logs come from SICK lasers. Their largest readings, 8183 to 8191 counts of 1 mm or 1 cm, are codes for
-# "no return" and for errors.
+# Most of these logs come from SICK lasers. Their largest readings, 8183 to 8191 counts of 1 mm or 1
+# cm, are codes for "no return" and for errors.
 _SICK_TOP_COUNTS = (8183.0, 8191.5)
 _SICK_UNITS = (0.001, 0.01)
 
@@ -34,22 +41,23 @@ _FIRST_TIMES, _LONGEST_STEP = 10, 60.0  # s between the first times of a clock t
 _SCAN, _ODOMETRY = _KINDS = b"FLASER", b"ODOM"
 _SCAN_TAIL = 9
 _ODOM_FIELDS = 10
-# If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the mount of the laser but
-# the result of a mapping program.
+# If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the
+# mount of the laser but the result of a mapping program.
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
 def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
-    The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines other than ODOM and FLASER are skipped.
-    Scans have 180, 181, 360 or 361 beams over 180 degrees.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines other than ODOM and
+    FLASER are skipped. Scans have 180, 181, 360 or 361 beams over 180 degrees.
 
-    There is one event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is
-    the robot's first pose, because the origin of odometry is arbitrary and may be far away. Times that begin below 0
-    and go on from there are moved so that the first one is 0. Other lines with a negative time are left out. Raises a
-    LogError if the file cannot be read, is cut short, has something other than a number where one is needed, has no
-    scan or no odometry, or has no beam within 1 degree of a given angle.
+    There is one event for each line, in the order of the file, at the line's ``ipc_time``. The
+    frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary and
+    may be far away. Times that begin below 0 and go on from there are moved so that the first one
+    is 0. Other lines with a negative time are left out. Raises a LogError if the file cannot be
+    read, is cut short, has something other than a number where one is needed, has no scan or no
+    odometry, or has no beam within 1 degree of a given angle.
     """
     with naming(path):
         check_max_range(max_range)
@@ -69,7 +77,8 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
 def beam_angles_deg(count: int) -> FloatArray:
     """Directions of a scan's beams (count,), deg, from -90 on the right to the left.
 
-    A scan with an even count has no beam at +90. Raises a ValueError if the layout of this number of beams is unknown.
+    A scan with an even count has no beam at +90. Raises a ValueError if the layout of this number
+    of beams is unknown.
     """
     if count not in (180, 181, 360, 361):
         raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")
@@ -77,7 +86,9 @@ def beam_angles_deg(count: int) -> FloatArray:
 
 
 class _Events:
-    """The numbers of the lines read so far, in packed arrays, because a log may have millions of lines."""
+    """The numbers of the lines read so far, in packed arrays, because a log may have millions of
+    lines.
+    """
 
     def __init__(self, beams_deg: Sequence[float]) -> None:
         self.beams_deg = beams_deg
@@ -97,7 +108,11 @@ class _Events:
             self._add_scan(fields)
         elif kind == _ODOMETRY:
             self._add_odometry(fields)
-        elif not line.endswith(b"\n") and len(fields) == 1 and any(each.startswith(kind) for each in _KINDS):
+        elif (
+            not line.endswith(b"\n")
+            and len(fields) == 1
+            and any(each.startswith(kind) for each in _KINDS)
+        ):
             raise ValueError("the line stops within its first word")
 
     def _add_scan(self, fields: list[bytes]) -> None:
@@ -130,7 +145,9 @@ class _Events:
             raise ValueError("FLASER is not followed by the number of beams")
         count = int(text[:9])
         if not self.columns:
-            self.columns = [2 + beam for beam in nearest_beams(beam_angles_deg(count), self.beams_deg)]
+            self.columns = [
+                2 + beam for beam in nearest_beams(beam_angles_deg(count), self.beams_deg)
+            ]
             self.beam_count = count
         elif count != self.beam_count:
             raise ValueError(f"a scan of {count} beams after scans of {self.beam_count}")
@@ -143,7 +160,9 @@ class _Events:
         bare = len(fields) >= 2 + count and not tail
         if not self.time and (stamped or bare):
             raise ValueError("has no odometry: the scan comes without its poses")
-        raise ValueError(f"FLASER has {len(fields)} fields where {2 + count + _SCAN_TAIL} are needed")
+        raise ValueError(
+            f"FLASER has {len(fields)} fields where {2 + count + _SCAN_TAIL} are needed"
+        )
 
 
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
@@ -153,18 +172,26 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
     if not has_scan[kept].any():
         raise ValueError("has no scan whose time is not negative")
     scans = kept[has_scan]
-    time, odometry, has_scan = time[kept] + shifted, np.array(events.odometry).reshape(-1, 3)[kept], has_scan[kept]
+    time, odometry, has_scan = (
+        time[kept] + shifted,
+        np.array(events.odometry).reshape(-1, 3)[kept],
+        has_scan[kept],
+    )
     odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
     angles = np.radians(beam_angles_deg(events.beam_count)[np.array(events.columns) - 2])
     mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3)[scans])
     ranges = np.full((len(time), len(angles)), np.nan)
     ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, len(angles))[scans])
     robot, untimed = _robot(angles, mount, max_range, time), int((~kept).sum())
-    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry, shifted=shifted, untimed=untimed)
+    return RecordedLog(
+        robot, time, ranges, has_scan, odometry=odometry, shifted=shifted, untimed=untimed
+    )
 
 
 def _begins_below_zero(time: FloatArray) -> bool:
-    """Whether a clock (n,), s, begins below 0 and goes on from there. A single wrong time does not go on."""
+    """Whether a clock (n,), s, begins below 0 and goes on from there. A single wrong time does not
+    go on.
+    """
     steps = np.diff(time[:_FIRST_TIMES])
     return bool(time[0] < 0.0 and len(steps) and (np.abs(steps) < _LONGEST_STEP).all())
 
@@ -180,14 +207,18 @@ def _without_codes(ranges: FloatArray) -> FloatArray:
 
 
 def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:
-    """Pose (3,) of the laser on the robot, from both poses (k, 3) of every scan. Zero if it is not fixed."""
+    """Pose (3,) of the laser on the robot, from both poses (k, 3) of every scan. Zero if it is not
+    fixed.
+    """
     offsets = se2.between(odometry, laser)
-    # A median of angles needs angles that are near to each other, so they are counted from the first angle.
+    # A median of angles needs angles that are near to each other, so they are counted from the
+    # first angle.
     offsets[:, 2] = offsets[0, 2] + se2.wrap_angle(offsets[:, 2] - offsets[0, 2])
     mount = np.median(offsets, axis=0)
     if np.any(np.percentile(np.abs(offsets - mount), 90, axis=0) > _STEADY):
         return np.zeros(3)
-    # The log has six decimals, so further digits are rounding errors. Adding zero turns -0.0 into 0.0.
+    # The log has six decimals, so further digits are rounding errors. Adding zero turns -0.0 into
+    # 0.0.
     return np.array([*np.round(mount[:2], 6), se2.wrap_angle(float(np.round(mount[2], 6)))]) + 0.0
 
 

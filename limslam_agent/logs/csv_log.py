@@ -6,13 +6,14 @@
     0.0,0.000,0.000,0.00,1.20,,1.19
     0.1,0.031,0.000,0.01,1.21,nan,1.18
 
-``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that pose. A table of
-wheel travel has ``left`` and ``right`` instead of ``x``, ``y`` and ``theta``. Other units, and the robot on which the
-beams sit, are `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and ``inf``
-means that the beam saw nothing (`limslam_agent.readings`). Columns may also be separated by semicolons or spaces, and a
-comma is then the decimal mark. Quotation marks, and a separator at the end of a line, do not matter. The header may be
-a comment with a remark in brackets. A header that is repeated is skipped: some loggers write it again when they start
-again.
+``t`` is in s, the pose by odometry is in m and rad, and ranges are in m from the position of that
+pose. A table of wheel travel has ``left`` and ``right`` instead of ``x``, ``y`` and ``theta``.
+Other units, and the robot on which the beams sit, are `limslam_agent.logs.table_options`. An empty
+field and ``nan`` mean that there is no reading, and ``inf`` means that the beam saw nothing
+(`limslam_agent.readings`). Columns may also be separated by semicolons or spaces, and a comma is
+then the decimal mark. Quotation marks, and a separator at the end of a line, do not matter. The
+header may be a comment with a remark in brackets. A header that is repeated is skipped: some
+loggers write it again when they start again.
 """
 
 import math
@@ -51,7 +52,9 @@ from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
 NO_SCAN = b"-"
-"""Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
+"""Marks an event with odometry only. It stands in all range columns, or once instead of all of
+them.
+"""
 
 NOT_USED = "-"
 """Name of a column that is not used."""
@@ -59,7 +62,9 @@ NOT_USED = "-"
 _TIME = {"t", "time", "stamp"}
 _POSE = (_TIME, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
 _WHEELS = tuple(
-    _TIME if side is None else {side, f"{side}_wheel", f"wheel_{side}", f"{side}_ticks", f"ticks_{side}"}
+    _TIME
+    if side is None
+    else {side, f"{side}_wheel", f"wheel_{side}", f"{side}_ticks", f"ticks_{side}"}
     for side in (None, "left", "right")
 )
 _FORMS = "t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..."
@@ -71,8 +76,8 @@ NO_ROW = "delete the line if it is no row of the table, or begin it with #"
 
 
 def is_csv(path: FilePath) -> bool:
-    """Whether a text file, plain or gzip, begins with such a header. Raises a LogError if the file cannot be read or is
-    not a text file.
+    """Whether a text file, plain or gzip, begins with such a header. Raises a LogError if the file
+    cannot be read or is not a text file.
     """
     for number, line in numbered_lines(path):
         if number > _HEADER_WITHIN:
@@ -89,13 +94,14 @@ def read_csv(
     max_range: float | None,
     options: TableOptions | None = None,
 ) -> RecordedLog:
-    """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
+    """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``,
+    plain or gzip.
 
-    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row. Raises a
-    LogError if the file cannot be read, is cut short, has another header, has a row whose columns do not match the
-    header or that holds something other than numbers, or has no row with ranges; if a table of wheel travel comes
-    without a robot, the robot has no beam in a direction of the header, or a wheel travels farther than the robot can
-    drive.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for
+    each row. Raises a LogError if the file cannot be read, is cut short, has another header, has a
+    row whose columns do not match the header or that holds something other than numbers, or has no
+    row with ranges; if a table of wheel travel comes without a robot, the robot has no beam in a
+    direction of the header, or a wheel travels farther than the robot can drive.
     """
     rows = _Rows(beams_deg, max_range, options or TableOptions())
     read_lines(path, rows.add)
@@ -106,7 +112,9 @@ def read_csv(
 class _Rows:
     """The header, and the numbers of the rows read so far, in packed arrays."""
 
-    def __init__(self, beams_deg: Sequence[float] | None, max_range: float | None, options: TableOptions) -> None:
+    def __init__(
+        self, beams_deg: Sequence[float] | None, max_range: float | None, options: TableOptions
+    ) -> None:
         self.beams_deg, self.max_range, self.options = beams_deg, max_range, options
         self.leading = len(_POSE)
         self.beams: list[SensorSpec] = []
@@ -148,9 +156,15 @@ class _Rows:
             check_max_range(self.max_range)
         if self.options.robot is not None:
             source = _source(self.options.columns)
-            beams = [_mounted(self.options.robot, degrees, self.max_range, source) for degrees in self.directions]
+            beams = [
+                _mounted(self.options.robot, degrees, self.max_range, source)
+                for degrees in self.directions
+            ]
         elif self.leading == len(_WHEELS):
-            raise ValueError("a table of wheel travel needs --robot FILE, with the robot's axle, radius and beams")
+            raise ValueError(
+                "a table of wheel travel needs --robot FILE, with the robot's axle, radius and "
+                "beams"
+            )
         else:
             reach = DEFAULT_MAX_RANGE if self.max_range is None else self.max_range
             beams = [beam(math.radians(degrees), reach) for degrees in self.directions]
@@ -166,22 +180,35 @@ class _Rows:
         if len(fields) != count and not (is_silent and len(readings) == 1):
             # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
             is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
-            hint = "if commas are decimal marks here, separate the columns by ; or tabs" if is_doubled else NO_ROW
+            hint = (
+                "if commas are decimal marks here, separate the columns by ; or tabs"
+                if is_doubled
+                else NO_ROW
+            )
             if not (self.has_scan or is_doubled):
                 hint += ", or correct the header: --columns can name all columns in its place"
             raise ValueError(f"{len(fields)} columns where the header names {count}: {hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
         move[0] = self._take_time(move[0])
-        values = [math.nan] * len(self.directions) if is_silent else [_reading(field) for field in readings]
+        values = (
+            [math.nan] * len(self.directions)
+            if is_silent
+            else [_reading(field) for field in readings]
+        )
         if self.options.zero_is_nothing:
             values = [math.inf if value <= 0.0 else value for value in values]
-        self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
+        self.ranges.extend(
+            metres * values[column]
+            for metres, column in zip(self.metres, self.columns, strict=True)
+        )
         self.moves.extend(move)
         self.has_scan.append(not is_silent)
 
     def _fields_of(self, text: bytes) -> list[bytes]:
-        """The fields of a row that are used, in the order of the header, without empty ones after its end."""
+        """The fields of a row that are used, in the order of the header, without empty ones after
+        its end.
+        """
         fields = [field.strip() for field in text.split(self.separator)]
         if self.separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
@@ -202,16 +229,21 @@ class _Rows:
     def _take_time(self, time: float) -> float:
         """The time of a row, s, on the clock of the log.
 
-        A clock that is full begins again. A late row after that is still from before. Raises a ValueError if the time
-        steps back for another reason.
+        A clock that is full begins again. A late row after that is still from before. Raises a
+        ValueError if the time steps back for another reason.
         """
         time *= self.options.seconds
         before = self.moves[-self.leading] - self.time_before if self.moves else time
         turn = CLOCK_COUNTS * self.options.seconds
         if time < before - LARGEST_STEP_BACK:
-            if not 0.0 <= time - before + turn < LONGEST_PAUSE:  # a clock that was full begins again at 0
+            if (
+                not 0.0 <= time - before + turn < LONGEST_PAUSE
+            ):  # a clock that was full begins again at 0
                 back = f"the time steps back by {before - time:.1f} s"
-                raise ValueError(f"{back}: if the robot was switched on again, replay the parts as logs of their own")
+                raise ValueError(
+                    f"{back}: if the robot was switched on again, replay the parts as logs of "
+                    "their own"
+                )
             self.time_before += turn
         elif time < turn and abs(time - turn - before) <= LARGEST_STEP_BACK:
             return time + self.time_before - turn
@@ -236,24 +268,37 @@ class _Rows:
 
 
 def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
-    """The robot's beam in a direction that ``source`` names. A reading of a table is a new measurement in each row.
-    Raises a ValueError if the robot has no such beam.
+    """The robot's beam in a direction that ``source`` names. A reading of a table is a new
+    measurement in each row. Raises a ValueError if the robot has no such beam.
     """
     apart = np.abs(np.degrees(wrap_angle(robot.beam_angles - math.radians(degrees))))
     nearest = int(np.argmin(apart))
     if apart[nearest] > WORST_BEAM_MISMATCH_DEG + 1e-9:
         known = ", ".join(f"{angle:g}" for angle in np.round(np.degrees(robot.beam_angles), 1))
-        raise ValueError(f"{source} names a beam at {degrees:g} deg, but the robot's beams are at {known} deg")
+        raise ValueError(
+            f"{source} names a beam at {degrees:g} deg, but the robot's beams are at {known} deg"
+        )
     found = robot.beams[nearest]
     reach = found.max_range if max_range is None else min(found.max_range, max_range)
     if reach <= found.min_range:
-        raise ValueError(f"the largest range must be above the beam's shortest of {found.min_range:g} m, not {reach:g}")
+        raise ValueError(
+            f"the largest range must be above the beam's shortest of {found.min_range:g} m, not "
+            f"{reach:g}"
+        )
     return replace(found, max_range=reach, period=1)
 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
     """Column names of a header in lower case, and the separator (None for spaces)."""
-    text = line.decode("utf-8", "replace").replace('"', "").strip().lstrip("#").partition("(")[0].strip().lower()
+    text = (
+        line.decode("utf-8", "replace")
+        .replace('"', "")
+        .strip()
+        .lstrip("#")
+        .partition("(")[0]
+        .strip()
+        .lower()
+    )
     # A semicolon goes first: a comma beside it is a decimal mark.
     separator = next((mark for mark in (";", ",") if mark in text), None)
     text = text.rstrip(separator)
@@ -266,34 +311,51 @@ def _is_remark(line: bytes, names: list[str]) -> bool:
 
 
 def _leading(names: list[str]) -> int:
-    """How many columns stand before the ranges: 4 of a table of poses, 3 of wheel travel, 0 of another header."""
-    known = (form for form in (_POSE, _WHEELS) if len(names) >= len(form) and all(map(set.__contains__, form, names)))
+    """How many columns stand before the ranges: 4 of a table of poses, 3 of wheel travel, 0 of
+    another header.
+    """
+    known = (
+        form
+        for form in (_POSE, _WHEELS)
+        if len(names) >= len(form) and all(map(set.__contains__, form, names))
+    )
     return len(next(known, ()))
 
 
 def _in_order(used: list[int], names: list[str]) -> list[int]:
-    """Places of the columns that are used, with those first that stand before the ranges of a header."""
+    """Places of the columns that are used, with those first that stand before the ranges of a
+    header.
+    """
     for form in (_POSE, _WHEELS):
         leading = [next((place for place in used if names[place] in known), None) for known in form]
         if None not in leading:
-            return sorted(used, key=lambda place: leading.index(place) if place in leading else len(leading))
+            return sorted(
+                used, key=lambda place: leading.index(place) if place in leading else len(leading)
+            )
     return used
 
 
 def _source(chosen: Sequence[str]) -> str:
-    """What names the columns, in messages. ``chosen`` are those that stand in place of the header, if any."""
+    """What names the columns, in messages. ``chosen`` are those that stand in place of the header,
+    if any.
+    """
     return "--columns" if chosen else "the header"
 
 
 def _directions(names: list[str], chosen: Sequence[str]) -> list[float]:
-    """Directions of the range columns, deg. ``chosen`` are the columns that stand in place of the header, if any."""
+    """Directions of the range columns, deg. ``chosen`` are the columns that stand in place of the
+    header, if any.
+    """
     leading = _leading(names)
     source = _source(chosen)
     if not leading:
         found = ",".join(chosen or names)[:60]
         if chosen:
             raise ValueError(f"--columns must name {_FORMS}, not {found!r}")
-        raise ValueError(f"the header must be {_FORMS}, not {found!r}; --columns names the columns of another header")
+        raise ValueError(
+            f"the header must be {_FORMS}, not {found!r}; --columns names the columns of another "
+            "header"
+        )
     directions: list[float] = []
     columns = names[leading:]
     for place, name in enumerate(columns):
@@ -305,7 +367,11 @@ def _directions(names: list[str], chosen: Sequence[str]) -> list[float]:
         raise ValueError(f"{source} names no ranges: r_<deg>,... must follow {names[leading - 1]}")
     turns = [degrees % 360.0 for degrees in directions]
     if len(set(turns)) < len(turns):
-        twice = next(degrees for degrees, turn in zip(directions, turns, strict=True) if turns.count(turn) > 1)
+        twice = next(
+            degrees
+            for degrees, turn in zip(directions, turns, strict=True)
+            if turns.count(turn) > 1
+        )
         raise ValueError(f"{source} names the beam at {twice:g} deg twice")
     return directions
 
@@ -322,13 +388,17 @@ def _direction(name: str) -> float:
 
 
 def _between(before: list[float], after: list[str]) -> list[float]:
-    """The directions that ``...`` stands for, in the step of the two directions before, up to the direction after."""
+    """The directions that ``...`` stands for, in the step of the two directions before, up to the
+    direction after.
+    """
     if len(before) < 2 or len(after) != 1:
         raise ValueError("'...' must stand between two ranges and the last one")
     step, last = before[-1] - before[-2], _direction(after[0])
     count = (last - before[-1]) / step if step else 0.0
     if not (1.0 <= count <= MOST_BEAMS and math.isclose(count, round(count), abs_tol=1e-6)):
-        raise ValueError(f"'...' cannot go from {before[-1]:g} to {last:g} deg in steps of {step:g}")
+        raise ValueError(
+            f"'...' cannot go from {before[-1]:g} to {last:g} deg in steps of {step:g}"
+        )
     return [before[-1] + step * number for number in range(1, round(count))]
 
 

@@ -11,7 +11,19 @@ _WAYS = {
 }
 _TOWARDS = {word: degrees for degrees, words in _WAYS.items() for word in words}
 # A single letter is a direction only as the last word of a name: in "r_l", but not in "l_laser".
-_VERTICAL = {"up", "down", "top", "bottom", "ground", "floor", "ceiling", "cliff", "height", "altitude", "zrange"}
+_VERTICAL = {
+    "up",
+    "down",
+    "top",
+    "bottom",
+    "ground",
+    "floor",
+    "ceiling",
+    "cliff",
+    "height",
+    "altitude",
+    "zrange",
+}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+(?:\.\d+)?")
 _SIGN = r"(?:([-+])|(?<![a-z0-9.])(m|minus_?|neg_?)?)"
 _DEGREES = re.compile(_SIGN + r"(\d{1,3}(?:\.\d+)?)_?deg(?![a-z])", re.IGNORECASE)
@@ -23,12 +35,18 @@ def words_of(name: str) -> list[str]:
 
 
 def direction_of(name: str) -> float | None:
-    """Direction in a name, deg, left positive: ``front_left`` is 45, ``range_m30deg`` is -30. None if there is none."""
+    """Direction in a name, deg, left positive: ``front_left`` is 45, ``range_m30deg`` is -30. None
+    if there is none.
+    """
     number = _DEGREES.search(name)
     if number is not None:
         return -float(number[3]) if number[1] == "-" or number[2] else float(number[3])
     words = words_of(name)
-    named = {_TOWARDS[word] for place, word in enumerate(words) if word in _TOWARDS and _counts(words, place)}
+    named = {
+        _TOWARDS[word]
+        for place, word in enumerate(words)
+        if word in _TOWARDS and _counts(words, place)
+    }
     x = sum(math.cos(math.radians(degrees)) for degrees in named)
     y = sum(math.sin(math.radians(degrees)) for degrees in named)
     # Opposite words cancel each other out.
@@ -36,15 +54,17 @@ def direction_of(name: str) -> float | None:
 
 
 def degrees_of(text: str) -> float:
-    """Direction that a text gives, deg, left positive: a number of degrees, or a word like ``left``. Raises a
-    ValueError if it gives none, or is not within 360 deg.
+    """Direction that a text gives, deg, left positive: a number of degrees, or a word like
+    ``left``. Raises a ValueError if it gives none, or is not within 360 deg.
     """
     try:
         degrees = float(text)
     except ValueError:
         named = direction_of(text)
         if named is None:
-            raise ValueError(f"{text[:40]!r} is no direction: degrees, or a word like left") from None
+            raise ValueError(
+                f"{text[:40]!r} is no direction: degrees, or a word like left"
+            ) from None
         return named
     if not -360.0 <= degrees <= 360.0:
         raise ValueError(f"{text[:40]} is not within 360 deg")
@@ -52,7 +72,9 @@ def degrees_of(text: str) -> float:
 
 
 def is_vertical(name: str) -> bool:
-    """Whether a name describes a sensor that looks up or down, which is useless for a map of walls."""
+    """Whether a name describes a sensor that looks up or down, which is useless for a map of
+    walls.
+    """
     return bool(_VERTICAL & set(words_of(name)))
 
 

@@ -7,7 +7,14 @@ from pathlib import PurePath
 from limslam_agent.logs.carmen import read_carmen
 from limslam_agent.logs.csv_log import is_csv, read_csv
 from limslam_agent.logs.pose_log import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
-from limslam_agent.logs.recorded_log import ZIP_MAGIC, FilePath, LogError, RecordedLog, first_bytes, read_npz
+from limslam_agent.logs.recorded_log import (
+    ZIP_MAGIC,
+    FilePath,
+    LogError,
+    RecordedLog,
+    first_bytes,
+    read_npz,
+)
 from limslam_agent.logs.ros_bag import is_bag
 from limslam_agent.logs.ros_log import read_ros
 from limslam_agent.logs.ros_topics import Topics
@@ -25,22 +32,24 @@ def read_log(
     topics: Topics | None = None,
     table: TableOptions | None = None,
 ) -> RecordedLog:
-    """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a CARMEN log.
+    """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a
+    CARMEN log.
 
     Parameters
     ----------
     path
         The log. A ROS 2 bag is a folder.
     beams_deg
-        Directions of the beams to keep, deg. None keeps six beams of a CARMEN log. Of other logs None keeps all beams
-        if there are at most 16. The beams of a ``log.npz`` are fixed.
+        Directions of the beams to keep, deg. None keeps six beams of a CARMEN log. Of other logs
+        None keeps all beams if there are at most 16. The beams of a ``log.npz`` are fixed.
     max_range
-        Longest reading that is used, m. 3 m by default, or the beams' own maximum where ``table`` names a robot. The
-        ranges of a ``log.npz`` are fixed.
+        Longest reading that is used, m. 3 m by default, or the beams' own maximum where ``table``
+        names a robot. The ranges of a ``log.npz`` are fixed.
     topics
         Topics of a bag, if they cannot be found by their types.
     table
-        The robot that recorded a table, and the units of its columns. Other logs take no such options.
+        The robot that recorded a table, and the units of its columns. Other logs take no such
+        options.
 
     Returns
     -------
@@ -57,7 +66,10 @@ def read_log(
         _refuse_options(path, table)
         return read_ros(path, beams_deg, reach, topics)
     # Programs also give these endings to plain text.
-    if PurePath(path).suffix.lower() in _SPREADSHEETS and first_bytes(path, 4) in _SPREADSHEET_MAGICS:
+    if (
+        PurePath(path).suffix.lower() in _SPREADSHEETS
+        and first_bytes(path, 4) in _SPREADSHEET_MAGICS
+    ):
         raise LogError(f"{fspath(path)}: is a spreadsheet, which must be saved as CSV in UTF-8")
     if topics:
         raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
@@ -67,7 +79,11 @@ def read_log(
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
         _refuse_options(path, table)
         return read_npz(path)
-    if fspath(path).endswith(_TEXT_ENDINGS) or (table is not None and table.columns) or is_csv(path):
+    if (
+        fspath(path).endswith(_TEXT_ENDINGS)
+        or (table is not None and table.columns)
+        or is_csv(path)
+    ):
         return read_csv(path, beams_deg, max_range, table)
     _refuse_options(path, table)
     return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)
@@ -76,6 +92,7 @@ def read_log(
 def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
     if table is not None and table != TableOptions():
         raise LogError(
-            f"{fspath(path)}: is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not "
+            f"{fspath(path)}: is not a table in plain text, so --robot, units, --columns and "
+            "--zero-is-nothing do not "
             "go with it"
         )

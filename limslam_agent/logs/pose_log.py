@@ -1,4 +1,6 @@
-"""Shared parts of the readers of text files and bags: poses and readings become the log of a sparse robot."""
+"""Shared parts of the readers of text files and bags: poses and readings become the log of a sparse
+robot.
+"""
 
 import math
 from collections.abc import Sequence
@@ -28,22 +30,28 @@ SPARSE_BEAMS = 16
 """A robot with at most this many beams is already sparse. All of its beams are used."""
 
 FARTHEST = 1e9
-"""Largest coordinate (m) of an odometry pose. Maps of the whole Earth have coordinates of about 1e7 m."""
+"""Largest coordinate (m) of an odometry pose. Maps of the whole Earth have coordinates of about 1e7
+m.
+"""
 
 LARGEST_STEP_BACK = 1.0
-"""Times may step back by this much (s), for example if two threads write one log. A larger step means another run, a
-clock that was set, or a bag that begins again.
+"""Times may step back by this much (s), for example if two threads write one log. A larger step
+means another run, a clock that was set, or a bag that begins again.
 """
 
 
-def beam(angle: float, max_range: float, *, x: float = 0.0, y: float = 0.0, min_range: float = 0.0) -> SensorSpec:
-    """A beam of a log from (x, y), m, in the direction ``angle``, rad. It measures nothing below ``MIN_RANGE``."""
+def beam(
+    angle: float, max_range: float, *, x: float = 0.0, y: float = 0.0, min_range: float = 0.0
+) -> SensorSpec:
+    """A beam of a log from (x, y), m, in the direction ``angle``, rad. It measures nothing below
+    ``MIN_RANGE``.
+    """
     return SensorSpec(x, y, float(se2.wrap_angle(angle)), max(min_range, MIN_RANGE), max_range)
 
 
 def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None) -> list[int]:
-    """Indices of the beams of a log nearest to the wanted directions, deg, as :func:`nearest_beams` chooses them. None
-    takes all beams of a sparse robot, and six beams of another robot.
+    """Indices of the beams of a log nearest to the wanted directions, deg, as :func:`nearest_beams`
+    chooses them. None takes all beams of a sparse robot, and six beams of another robot.
     """
     if beams_deg is None:
         if len(beams) <= SPARSE_BEAMS:
@@ -53,8 +61,9 @@ def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None)
 
 
 def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
-    """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError if no direction is
-    given, no beam lies within 1 degree of a direction, or one beam is nearest to two directions.
+    """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError if
+    no direction is given, no beam lies within 1 degree of a direction, or one beam is nearest to
+    two directions.
     """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
@@ -64,7 +73,9 @@ def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
         if index in chosen:
             # A reading that is used twice would count as two measurements.
             other = beams_deg[chosen.index(index)]
-            raise ValueError(f"{other:g} deg and {wanted:g} deg are the same beam, at {angles[index]:g} deg")
+            raise ValueError(
+                f"{other:g} deg and {wanted:g} deg are the same beam, at {angles[index]:g} deg"
+            )
         chosen.append(index)
     return chosen
 
@@ -79,13 +90,16 @@ def pose_log(
 ) -> RecordedLog:
     """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
 
-    The headings of ``odometry`` may include full turns. Of a robot that is not described only a radius of 0.2 m is
-    assumed. The frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a
-    ValueError if a number is not finite, or the odometry jumps or has impossible coordinates.
+    The headings of ``odometry`` may include full turns. Of a robot that is not described only a
+    radius of 0.2 m is assumed. The frame of the estimate is the robot's first pose, because the
+    origin of odometry is arbitrary. Raises a ValueError if a number is not finite, or the odometry
+    jumps or has impossible coordinates.
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
-        raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
+        raise ValueError(
+            f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}"
+        )
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
@@ -93,11 +107,15 @@ def pose_log(
 
 
 def check_max_range(max_range: float) -> None:
-    """Raise a ValueError if a largest range is not a length above ``MIN_RANGE`` and up to ``LARGEST_RANGE``."""
+    """Raise a ValueError if a largest range is not a length above ``MIN_RANGE`` and up to
+    ``LARGEST_RANGE``.
+    """
     if not (math.isfinite(max_range) and max_range > MIN_RANGE):
         raise ValueError(f"the largest range must be above {MIN_RANGE} m, not {max_range}")
     if max_range > LARGEST_RANGE:
-        raise ValueError(f"the largest range is at most {LARGEST_RANGE:g} m, not {max_range:g}: is it in metres?")
+        raise ValueError(
+            f"the largest range is at most {LARGEST_RANGE:g} m, not {max_range:g}: is it in metres?"
+        )
 
 
 def _nearest(angles: FloatArray, wanted: float) -> int:
@@ -110,7 +128,8 @@ def _nearest(angles: FloatArray, wanted: float) -> int:
         few = len(angles) <= SPARSE_BEAMS
         there = f"at {known}" if few else f"from {angles.min():g} to {angles.max():g}"
         raise ValueError(
-            f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: the log's beams are {there} deg"
+            f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: the log's beams "
+            f"are {there} deg"
         )
     return index
 

@@ -24,7 +24,8 @@ FilePath: TypeAlias = str | PathLike[str]
 
 GZIP_MAGIC = b"\x1f\x8b"
 ZIP_MAGIC = b"PK\x03\x04"
-# The longest known CARMEN line has about 4 kB. Without a limit, one "line" of a binary file could fill the memory.
+# The longest known CARMEN line has about 4 kB. Without a limit, one "line" of a binary file could
+# fill the memory.
 LONGEST_LINE = 1 << 20
 
 MOST_BEAMS = 4096
@@ -65,22 +66,24 @@ class RecordedLog:
     time
         Times of the log (n,), s. They may step back a little.
     ranges
-        (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where nothing was seen, and
-        NaN where there is no reading. They are given as the sensors report them.
+        (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where
+        nothing was seen, and NaN where there is no reading. They are given as the sensors report
+        them.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
-        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate, which is that pose itself
-        where no other is given.
+        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate, which is
+        that pose itself where no other is given.
     odometry
         Absolute odometry poses (n, 3), m, m, rad, in a frame of their own, or None.
     wheels
-        Left and right wheel travel since the previous event (n, 2), m, or None. A log has either odometry or wheels.
+        Left and right wheel travel since the previous event (n, 2), m, or None. A log has either
+        odometry or wheels.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
     shifted, untimed
-        How much was added to all times because they began below 0, s; and the number of lines that were left out
-        because their times are impossible.
+        How much was added to all times because they began below 0, s; and the number of lines that
+        were left out because their times are impossible.
     negative
         How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
@@ -125,7 +128,9 @@ class RecordedLog:
             jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
             if np.any(jumps > LONGEST_JUMP):
                 row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
-                raise ValueError(f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?")
+                raise ValueError(
+                    f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?"
+                )
 
     def __len__(self) -> int:
         """Number of events."""
@@ -137,9 +142,9 @@ class RecordedLog:
         Yields
         ------
         Observation
-            ``ranges`` (n_beams,) float32, m, with ``wheels`` (2,) float32, m, or with ``odometry`` (3,) float64. The
-            odometry is the motion since the previous event in the robot's frame at that event, and zero at the first
-            event. An event without a scan has no ``ranges``.
+            ``ranges`` (n_beams,) float32, m, with ``wheels`` (2,) float32, m, or with ``odometry``
+            (3,) float64. The odometry is the motion since the previous event in the robot's frame
+            at that event, and zero at the first event. An event without a scan has no ``ranges``.
         """
         moves = None
         if self.odometry is not None:
@@ -157,21 +162,24 @@ class RecordedLog:
 
 
 def read_npz(path: FilePath) -> RecordedLog:
-    """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
+    """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the
+    reset.
 
     Parameters
     ----------
     path
-        A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
-        ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log of a simulated run also has
-        the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams). Pickled objects are refused.
+        A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action``
+        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log
+        of a simulated run also has the truth: ``true_pose`` (n, 3) after each step, and
+        ``wall_seen`` (n, n_beams). Pickled objects are refused.
 
     Raises
     ------
     LogError
-        If the file cannot be read, is cut short or is not such a zip file; if an array is missing, or one of the two
-        arrays of the truth; or if an array has a wrong shape or holds something other than finite numbers. Ranges may
-        be infinite, NaN or negative, as `limslam_agent.readings` defines.
+        If the file cannot be read, is cut short or is not such a zip file; if an array is missing,
+        or one of the two arrays of the truth; or if an array has a wrong shape or holds something
+        other than finite numbers. Ranges may be infinite, NaN or negative, as
+        `limslam_agent.readings` defines.
     """
     with naming(path):
         arrays = _load_arrays(path)
@@ -180,7 +188,9 @@ def read_npz(path: FilePath) -> RecordedLog:
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
-            raise ValueError(f"is the log of {robots} robots; only the log of one robot can be replayed")
+            raise ValueError(
+                f"is the log of {robots} robots; only the log of one robot can be replayed"
+            )
         _check("action", arrays["action"], (count, 2))
         has_truth = "true_pose" in arrays
         if has_truth:
@@ -197,7 +207,9 @@ def read_npz(path: FilePath) -> RecordedLog:
 
 
 def write_npz(path: Path, robot: RobotSpec, **arrays: Any) -> None:
-    """Write a ``log.npz``: the arrays that :func:`read_npz` names, and the description of the robot."""
+    """Write a ``log.npz``: the arrays that :func:`read_npz` names, and the description of the
+    robot.
+    """
     np.savez_compressed(path, robot=np.array(robot.to_json()), **arrays)
 
 
@@ -208,7 +220,9 @@ def check_beams(count: int) -> None:
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
-    """The first ``count`` bytes of a file, or fewer if it is shorter. Raises a LogError if it cannot be read."""
+    """The first ``count`` bytes of a file, or fewer if it is shorter. Raises a LogError if it
+    cannot be read.
+    """
     with naming(path), open_regular(Path(path)) as file:
         return file.read(count)
 
@@ -219,12 +233,14 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     Yields
     ------
     tuple
-        Number of the line, counted from 1, and the line's bytes with the newline, which may only be missing at the end.
+        Number of the line, counted from 1, and the line's bytes with the newline, which may only be
+        missing at the end.
 
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
+        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text
+        file.
     """
     number = 0
     with naming(path), open_regular(Path(path)) as raw:
@@ -246,8 +262,9 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
-    """Hand the lines of a text file to a function, one after the other. Raises a LogError as :func:`numbered_lines`
-    does; and where the function raises a ValueError, with the number of the line, and whether the file ends within it.
+    """Hand the lines of a text file to a function, one after the other. Raises a LogError as
+    :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the
+    line, and whether the file ends within it.
     """
     for number, line in numbered_lines(path):
         try:
@@ -258,13 +275,16 @@ def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
 
 
 def parse_range(field: bytes, what: str) -> float:
-    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines. Raises
-    a ValueError if the field is not a number. The message begins with ``what``.
+    """A range from a field of a text. It may be infinite, NaN or negative, as
+    `limslam_agent.readings` defines. Raises a ValueError if the field is not a number. The message
+    begins with ``what``.
     """
     try:
         return float(field)
     except ValueError:
-        raise ValueError(f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}") from None
+        raise ValueError(
+            f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}"
+        ) from None
 
 
 def is_number(field: str | bytes) -> bool:
@@ -277,8 +297,8 @@ def is_number(field: str | bytes) -> bool:
 
 
 def parse_number(field: bytes, what: str) -> float:
-    """A finite number from a field of a text. Raises a ValueError if the field is not a finite number. The message
-    begins with ``what``.
+    """A finite number from a field of a text. Raises a ValueError if the field is not a finite
+    number. The message begins with ``what``.
     """
     value = parse_range(field, what)
     if not math.isfinite(value):
@@ -324,4 +344,6 @@ def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bo
         raise ValueError(f"{name} does not hold numbers")
     bad = ~np.isfinite(array)
     if finite and bad.any():
-        raise ValueError(f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}")
+        raise ValueError(
+            f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}"
+        )

@@ -1,8 +1,8 @@
 """Errors of a trajectory against relations: known motions between pairs of times.
 
-The method is from Kuemmerle et al., "On measuring the accuracy of SLAM algorithms" (2009). It compares the motion
-between two times, so no common frame is needed. An error counts once, where it was made, however far the robot drives
-on.
+The method is from Kuemmerle et al., "On measuring the accuracy of SLAM algorithms" (2009). It
+compares the motion between two times, so no common frame is needed. An error counts once, where it
+was made, however far the robot drives on.
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,9 @@ OUTSIDE_BY = 1.0
 """A relation that begins or ends farther outside of the log than this (s) is left out."""
 
 LOOP_AFTER = 60.0
-"""Relations over more time than this (s) are loops. The mean over all relations would hide a failure there."""
+"""Relations over more time than this (s) are loops. The mean over all relations would hide a
+failure there.
+"""
 
 _COLUMNS = ("translation", "rotation", "is_loop")
 _FIELDS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
@@ -55,17 +57,22 @@ class RelationErrors:
 
 
 def read_relations(path: FilePath) -> Relations:
-    """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
-    Raises a LogError if the file cannot be read, is cut short, has a line with other fields, or has no relations.
+    """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with
+    comments after ``#``. Raises a LogError if the file cannot be read, is cut short, has a line
+    with other fields, or has no relations.
     """
     rows: list[list[float]] = []
 
     def add(line: bytes) -> None:
         fields = line.partition(b"#")[0].split()
         if fields and len(fields) != len(_FIELDS):
-            raise ValueError(f"{len(fields)} fields where {len(_FIELDS)} are needed: {' '.join(_FIELDS)}")
+            raise ValueError(
+                f"{len(fields)} fields where {len(_FIELDS)} are needed: {' '.join(_FIELDS)}"
+            )
         if fields:
-            rows.append([parse_number(field, name) for field, name in zip(fields, _FIELDS, strict=True)])
+            rows.append(
+                [parse_number(field, name) for field, name in zip(fields, _FIELDS, strict=True)]
+            )
 
     read_lines(path, add)
     if not rows:
@@ -86,11 +93,11 @@ def relation_errors(
     time
         (n,), s, in any order.
     poses
-        Poses of the trajectory at these times (n, 3), m, m, rad. The pose at another time is the nearest pose within
-        0.1 s, or otherwise the previous pose, moved by odometry.
+        Poses of the trajectory at these times (n, 3), m, m, rad. The pose at another time is the
+        nearest pose within 0.1 s, or otherwise the previous pose, moved by odometry.
     odometry
-        Absolute odometry poses at the same times (n, 3), m, m, rad, interpolated linearly. Without odometry the
-        trajectory itself is interpolated.
+        Absolute odometry poses at the same times (n, 3), m, m, rad, interpolated linearly. Without
+        odometry the trajectory itself is interpolated.
     """
     inside = relations.within(time)
     start_time, end_time = relations.start_time[inside], relations.end_time[inside]
@@ -107,20 +114,30 @@ def relation_errors(
 
 
 def summary(*errors: RelationErrors) -> dict[str, float | int | None]:
-    """Mean and standard deviation, m and deg, over all relations and over the loops. None if there are none."""
+    """Mean and standard deviation, m and deg, over all relations and over the loops. None if there
+    are none.
+    """
     columns = (np.concatenate([getattr(each, name) for each in errors]) for name in _COLUMNS)
     translation, rotation, is_loop = columns
     figures: dict[str, float | int | None] = {}
     for prefix, chosen in (("", np.ones_like(is_loop)), ("loop_", is_loop)):
         for unit, values in (("m", translation[chosen]), ("deg", np.degrees(rotation[chosen]))):
-            figures[f"{prefix}relation_error_{unit}"] = float(values.mean()) if len(values) else None
-            figures[f"{prefix}relation_error_std_{unit}"] = float(values.std()) if len(values) else None
+            figures[f"{prefix}relation_error_{unit}"] = (
+                float(values.mean()) if len(values) else None
+            )
+            figures[f"{prefix}relation_error_std_{unit}"] = (
+                float(values.std()) if len(values) else None
+            )
         figures[f"{prefix}relations"] = int(chosen.sum())
     return {**figures, "relations_unmatched": sum(each.unmatched for each in errors)}
 
 
-def _poses_at(wanted: FloatArray, time: FloatArray, poses: FloatArray, moves: FloatArray) -> FloatArray:
-    """Poses of the trajectory (k, 3) at the wanted times (k,), as :func:`relation_errors` describes."""
+def _poses_at(
+    wanted: FloatArray, time: FloatArray, poses: FloatArray, moves: FloatArray
+) -> FloatArray:
+    """Poses of the trajectory (k, 3) at the wanted times (k,), as :func:`relation_errors`
+    describes.
+    """
     # The times of a log may step back.
     order = np.argsort(time, kind="stable")
     time, poses, moves = time[order], poses[order], moves[order]
@@ -131,11 +148,15 @@ def _poses_at(wanted: FloatArray, time: FloatArray, poses: FloatArray, moves: Fl
     # The motion before the first and after the last event is unknown, so the pose stays.
     fraction = np.clip((wanted - time[before]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
     moved = se2.compose(poses[before], _part_of_motion(moves[before], moves[after], fraction))
-    return np.where((np.abs(time[nearest] - wanted) <= NEAREST_WITHIN)[:, None], poses[nearest], moved)
+    return np.where(
+        (np.abs(time[nearest] - wanted) <= NEAREST_WITHIN)[:, None], poses[nearest], moved
+    )
 
 
 def _part_of_motion(start: FloatArray, end: FloatArray, fraction: FloatArray) -> FloatArray:
-    """The first ``fraction`` (k,) of the motions from ``start`` to ``end`` (k, 3), relative to ``start``."""
+    """The first ``fraction`` (k,) of the motions from ``start`` to ``end`` (k, 3), relative to
+    ``start``.
+    """
     position = start[:, :2] + fraction[:, None] * (end[:, :2] - start[:, :2])
     heading = start[:, 2] + fraction * se2.wrap_angle(end[:, 2] - start[:, 2])
     return se2.between(start, np.column_stack((position, heading)))

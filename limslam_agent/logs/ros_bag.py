@@ -1,6 +1,8 @@
-"""Opens ROS 1 and ROS 2 bags with rosbags, and turns every error of rosbags into an error of one line.
+"""Opens ROS 1 and ROS 2 bags with rosbags, and turns every error of rosbags into an error of one
+line.
 
-rosbags is an extra (``pip install 'limslam[ros]'``). It is imported when the first bag is opened. ROS is not needed.
+rosbags is an extra (``pip install 'limslam[ros]'``). It is imported when the first bag is opened.
+ROS is not needed.
 """
 
 from collections.abc import Collection, Iterator
@@ -33,8 +35,8 @@ class Message:
 
 
 def is_bag(path: FilePath) -> bool:
-    """Whether a path can only be a bag, by a file's first bytes or suffix. Of all logs, only ROS 2 bags are folders.
-    Raises a LogError if the file cannot be read.
+    """Whether a path can only be a bag, by a file's first bytes or suffix. Of all logs, only ROS 2
+    bags are folders. Raises a LogError if the file cannot be read.
     """
     place = Path(path)
     return place.is_dir() or place.suffix in _MAGIC.values() or _ending_by_content(path) is not None
@@ -57,13 +59,17 @@ class Bag:
         self.counts: dict[str, int] = {}
         for connection in reader.connections:
             if not isinstance(connection.topic, str) or not isinstance(connection.msgcount, int):
-                raise LogError(f"{fspath(path)}: damaged: its list of topics is not one of names and counts")
+                raise LogError(
+                    f"{fspath(path)}: damaged: its list of topics is not one of names and counts"
+                )
             self.types[connection.topic] = connection.msgtype
-            self.counts[connection.topic] = self.counts.get(connection.topic, 0) + connection.msgcount
+            self.counts[connection.topic] = (
+                self.counts.get(connection.topic, 0) + connection.msgcount
+            )
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """The messages of some topics in the order in which the bag received them. Raises a LogError if the bag is cut
-        short or damaged.
+        """The messages of some topics in the order in which the bag received them. Raises a
+        LogError if the bag is cut short or damaged.
         """
         connections = [each for each in self._reader.connections if each.topic in topics]
         if not connections:
@@ -86,17 +92,21 @@ class Bag:
 
 @contextmanager
 def open_bag(path: FilePath) -> Iterator[Bag]:
-    """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file. Raises a LogError if it is
-    another kind of file, is cut short or damaged, has a suffix that does not match its content, or rosbags is missing.
+    """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file. Raises a
+    LogError if it is another kind of file, is cut short or damaged, has a suffix that does not
+    match its content, or rosbags is missing.
     """
     _check_ending(path)
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise LogError(f"{fspath(path)}: bags are read with rosbags: pip install 'limslam[ros]' ({error})") from error
+        raise LogError(
+            f"{fspath(path)}: bags are read with rosbags: pip install 'limslam[ros]' ({error})"
+        ) from error
     with _one_line(path):
-        # Older ROS 2 bags do not hold the definitions of their types. The standard types have not changed since.
+        # Older ROS 2 bags do not hold the definitions of their types. The standard types have not
+        # changed since.
         reader = AnyReader([Path(path)], default_typestore=get_typestore(Stores.LATEST))
         reader.open()
     try:
@@ -112,17 +122,28 @@ def _check_ending(path: FilePath) -> None:
     place = Path(path)
     if place.is_dir():
         if not (place / METADATA).is_file():
-            run = f"; the log of this run is {place / 'log.npz'}" if (place / "log.npz").is_file() else ""
-            raise LogError(f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}{run}")
+            run = (
+                f"; the log of this run is {place / 'log.npz'}"
+                if (place / "log.npz").is_file()
+                else ""
+            )
+            raise LogError(
+                f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}{run}"
+            )
         for file in place.iterdir():
             if not file.is_dir():
                 first_bytes(file, 0)  # a pipe in the folder would never end
         return
     ending = _ending_by_content(path)
     if ending is None:
-        raise LogError(f"{fspath(path)}: is not a bag: its first bytes are not those of {', '.join(_MAGIC.values())}")
+        raise LogError(
+            f"{fspath(path)}: is not a bag: its first bytes are not those of "
+            f"{', '.join(_MAGIC.values())}"
+        )
     if place.suffix != ending:
-        raise LogError(f"{fspath(path)}: has the content of a {ending} file, so its name must end in {ending}")
+        raise LogError(
+            f"{fspath(path)}: has the content of a {ending} file, so its name must end in {ending}"
+        )
 
 
 def _ending_by_content(path: FilePath) -> str | None:

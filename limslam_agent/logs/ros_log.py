@@ -25,14 +25,14 @@ def read_ros(
 ) -> RecordedLog:
     """Read a bag. Each scan becomes one event with the odometry at the time of the scan.
 
-    The parameters are those of `limslam_agent.logs.log_reader.read_log`. ``path`` is a ``.bag``, the folder of a ROS 2
-    bag, or a single ``.mcap`` or ``.db3`` file.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. ``path`` is a ``.bag``,
+    the folder of a ROS 2 bag, or a single ``.mcap`` or ``.db3`` file.
 
-    The times are those of the message headers. They are those of the bag if a header has no time or the clocks of the
-    topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the slowest
-    sensor. Raises a LogError if the bag cannot be read, is cut short or damaged; if it is unclear which topics to use;
-    if a topic holds something other than a number where one is needed, its times step back, or the times of the topics
-    do not overlap.
+    The times are those of the message headers. They are those of the bag if a header has no time or
+    the clocks of the topics differ. Odometry is interpolated. Sensors with different periods are
+    combined at the times of the slowest sensor. Raises a LogError if the bag cannot be read, is cut
+    short or damaged; if it is unclear which topics to use; if a topic holds something other than a
+    number where one is needed, its times step back, or the times of the topics do not overlap.
     """
     with open_bag(path) as bag:
         try:
@@ -47,12 +47,20 @@ def read_ros(
 
 
 def _read(bag: Bag, readers: list[Reader]) -> list[FloatArray]:
-    """A table for each reader: the stamps of the messages and the times of the bag, s, and what the reader reads."""
+    """A table for each reader: the stamps of the messages and the times of the bag, s, and what the
+    reader reads.
+    """
     rows: list[list[Any]] = [[] for _ in readers]
     for message in bag.messages({reader.topic for reader in readers}):
         for reader, row in zip(readers, rows, strict=True):
             if reader.topic == message.topic:
-                row.append((stamp_of(message.content), message.bag_time, *_values(reader, message, len(row))))
+                row.append(
+                    (
+                        stamp_of(message.content),
+                        message.bag_time,
+                        *_values(reader, message, len(row)),
+                    )
+                )
     for reader, row in zip(readers, rows, strict=True):
         if not row:
             raise ValueError(f"the topic {reader.topic} is empty")
@@ -66,10 +74,15 @@ def _values(reader: Reader, message: Message, number: int) -> list[float]:
         raise ValueError(f"{reader.topic}: message {number + 1}: {error}") from error
 
 
-def _on_one_clock(readers: list[Reader], tables: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
+def _on_one_clock(
+    readers: list[Reader], tables: list[FloatArray]
+) -> list[tuple[FloatArray, FloatArray]]:
     """Times (n,) and values (n, k) of each reader, sorted by time."""
     stamped = all((table[:, 0] > 0.0).all() for table in tables)
-    first, last = max(table[:, 0].min() for table in tables), min(table[:, 0].max() for table in tables)
+    first, last = (
+        max(table[:, 0].min() for table in tables),
+        min(table[:, 0].max() for table in tables),
+    )
     # Stamps of two machines, or of a clock that began at zero, cannot be compared.
     clock = 0 if stamped and first <= last else 1
     ordered = []
@@ -77,7 +90,9 @@ def _on_one_clock(readers: list[Reader], tables: list[FloatArray]) -> list[tuple
         steps = np.diff(table[:, clock])
         if len(steps) and steps.min() < -LARGEST_STEP_BACK:
             row = int(np.argmin(steps)) + 2
-            raise ValueError(f"{reader.topic}: message {row}: the time steps back by {-steps.min():.1f} s")
+            raise ValueError(
+                f"{reader.topic}: message {row}: the time steps back by {-steps.min():.1f} s"
+            )
         order = np.argsort(table[:, clock], kind="stable")
         ordered.append((table[order, clock], table[order, 2:]))
     return ordered
@@ -89,20 +104,27 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
     begin, end = max(times[0] for times, _ in moves), min(times[-1] for times, _ in moves)
     inside = (time >= begin) & (time <= end)
     if not inside.any():
-        when = f"ranges from {time[0]:.3f} to {time[-1]:.3f} s, odometry from {begin:.3f} to {end:.3f} s"
+        when = (
+            f"ranges from {time[0]:.3f} to {time[-1]:.3f} s, odometry from {begin:.3f} to "
+            f"{end:.3f} s"
+        )
         raise ValueError(f"the times of ranges and odometry do not overlap: {when}")
     time, ranges = time[inside], ranges[inside]
     heading = moves[-1][1]
     heading[:, -1] = np.unwrap(heading[:, -1])
     columns = [np.interp(time, times, column) for times, values in moves for column in values.T]
-    return pose_log(plan.beams, time, np.column_stack(columns), ranges, np.ones(len(time), dtype=np.bool_))
+    return pose_log(
+        plan.beams, time, np.column_stack(columns), ranges, np.ones(len(time), dtype=np.bool_)
+    )
 
 
-def _together(plan: Plan, scans: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+def _together(
+    plan: Plan, scans: list[tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray]:
     """Times of the slowest sensor (n,), and all readings at these times (n, n_beams).
 
-    Of each other sensor the reading nearest in time is taken, at most half a period of the slowest sensor away. Events
-    without a reading of every sensor are left out.
+    Of each other sensor the reading nearest in time is taken, at most half a period of the slowest
+    sensor away. Events without a reading of every sensor are left out.
     """
     time, _ = min(scans, key=lambda scan: len(scan[0]))
     apart = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else np.inf

@@ -20,9 +20,11 @@ POSES = (
 )
 TRANSFORMS = {"tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"}
 
-# Largest vertical component of a beam's unit direction. A steeper beam is not used for a map of walls.
+# Largest vertical component of a beam's unit direction. A steeper beam is not used for a map of
+# walls.
 _STEEPEST = 0.5
-# A driver may renumber the beams. A beam that is off by more than this (deg, or half a step) is another beam.
+# A driver may renumber the beams. A beam that is off by more than this (deg, or half a step) is
+# another beam.
 _BEAM_DRIFT_DEG = 1.0
 
 
@@ -33,8 +35,8 @@ def stamp_of(message: Any) -> float:
 
 
 def pose_of(message: Any) -> tuple[float, float, float]:
-    """Pose (m, m, rad) in an Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped. Raises a ValueError
-    if the pose is not finite, or its quaternion has length zero.
+    """Pose (m, m, rad) in an Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped.
+    Raises a ValueError if the pose is not finite, or its quaternion has length zero.
     """
     if hasattr(message, "transform"):
         place, turn = message.transform.translation, message.transform.rotation
@@ -49,34 +51,42 @@ def pose_of(message: Any) -> tuple[float, float, float]:
 
 
 def yaw_of(quaternion: Sequence[float]) -> float:
-    """Heading (rad) of a quaternion x, y, z, w, which need not have length one. Raises a ValueError if the quaternion
-    is not finite or has length zero.
+    """Heading (rad) of a quaternion x, y, z, w, which need not have length one. Raises a ValueError
+    if the quaternion is not finite or has length zero.
     """
     rotation = rotation_of(quaternion)
     return math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def rotation_of(quaternion: Sequence[float]) -> FloatArray:
-    """Rotation matrix (3, 3) of a quaternion x, y, z, w, which need not have length one. Raises a ValueError if the
-    quaternion is not finite or has length zero.
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w, which need not have length one. Raises a
+    ValueError if the quaternion is not finite or has length zero.
     """
     parts = [float(part) for part in quaternion]
     length = math.hypot(*parts)
     if not 1e-6 < length < 1e6:
-        raise ValueError(f"the quaternion is not a rotation: {', '.join(f'{part:g}' for part in parts)}")
+        raise ValueError(
+            f"the quaternion is not a rotation: {', '.join(f'{part:g}' for part in parts)}"
+        )
     x, y, z, w = (part / length for part in parts)
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
 def scan_angles(message: Any) -> FloatArray:
-    """Directions of a LaserScan's beams (n,), rad, in the frame of the laser. Raises a ValueError if the scan has no
-    beams, or their directions are not finite.
+    """Directions of a LaserScan's beams (n,), rad, in the frame of the laser. Raises a ValueError
+    if the scan has no beams, or their directions are not finite.
     """
-    count, first, step = len(message.ranges), float(message.angle_min), float(message.angle_increment)
+    count, first, step = (
+        len(message.ranges),
+        float(message.angle_min),
+        float(message.angle_increment),
+    )
     if not count:
         raise ValueError("the scan has no ranges")
     if not (math.isfinite(first) and math.isfinite(step) and (step != 0.0 or count == 1)):
@@ -85,8 +95,8 @@ def scan_angles(message: Any) -> FloatArray:
 
 
 def scan_readings(message: Any, angles: FloatArray) -> FloatArray:
-    """Ranges of a LaserScan (k,), m, in given directions (k,), rad. Raises a ValueError if the scan has no beam in one
-    of the directions.
+    """Ranges of a LaserScan (k,), m, in given directions (k,), rad. Raises a ValueError if the scan
+    has no beam in one of the directions.
     """
     there = scan_angles(message)
     step = float(message.angle_increment) or 1.0
@@ -94,13 +104,16 @@ def scan_readings(message: Any, angles: FloatArray) -> FloatArray:
     off = np.degrees(np.abs(there[index] - angles)).max()
     if off > max(_BEAM_DRIFT_DEG, 0.5 * abs(math.degrees(step))) + 1e-6:
         first, last = np.degrees(there[[0, -1]])
-        raise ValueError(f"the scan's beams have changed: they now go from {first:.1f} to {last:.1f} deg")
+        raise ValueError(
+            f"the scan's beams have changed: they now go from {first:.1f} to {last:.1f} deg"
+        )
     readings: FloatArray = np.asarray(message.ranges, dtype=np.float64)[index]
     return readings
 
 
 def sensor_limits(least: float, largest: float, max_range: float) -> tuple[float, float]:
-    """Shortest and longest usable range of a sensor, m, from its messages and from the wanted longest range.
+    """Shortest and longest usable range of a sensor, m, from its messages and from the wanted
+    longest range.
 
     Limits that a driver leaves out, or that are not finite, do not count.
     """
@@ -112,7 +125,8 @@ def sensor_limits(least: float, largest: float, max_range: float) -> tuple[float
 class Mounts:
     """Poses of the sensors on the body, from the messages of ``tf_static``.
 
-    A chain of frames is followed up to ``base`` if it contains ``base``, and otherwise up to its root.
+    A chain of frames is followed up to ``base`` if it contains ``base``, and otherwise up to its
+    root.
     """
 
     def __init__(self, base: str | None = None) -> None:
@@ -127,10 +141,16 @@ class Mounts:
             place = np.array([float(shift.x), float(shift.y), float(shift.z)])
             if not np.isfinite(place).all():
                 raise ValueError(f"the place of {each.child_frame_id!r} is not finite")
-            self._parents[_bare(each.child_frame_id)] = (_bare(each.header.frame_id), rotation, place)
+            self._parents[_bare(each.child_frame_id)] = (
+                _bare(each.header.frame_id),
+                rotation,
+                place,
+            )
 
     def find(self, frame: str) -> tuple[FloatArray, FloatArray] | None:
-        """Rotation (3, 3) and position (3,), m, of a frame on the body. None if the frame is unknown."""
+        """Rotation (3, 3) and position (3,), m, of a frame on the body. None if the frame is
+        unknown.
+        """
         frame, rotation, place = _bare(frame), np.eye(3), np.zeros(3)
         if frame == self._base:
             return rotation, place
@@ -144,8 +164,11 @@ class Mounts:
         return (rotation, place) if passed else None
 
 
-def beam_on_body(mount: tuple[FloatArray, FloatArray], angle: float, limits: tuple[float, float]) -> SensorSpec | None:
-    """A beam at ``angle`` (rad) of a mounted sensor, projected to the floor. None if the beam looks up or down.
+def beam_on_body(
+    mount: tuple[FloatArray, FloatArray], angle: float, limits: tuple[float, float]
+) -> SensorSpec | None:
+    """A beam at ``angle`` (rad) of a mounted sensor, projected to the floor. None if the beam looks
+    up or down.
 
     ``limits`` are the shortest and the longest range, m.
     """

@@ -1,4 +1,6 @@
-"""Chooses the topics of a bag that a log is made of, by their types or as given, and plans how to read them."""
+"""Chooses the topics of a bag that a log is made of, by their types or as given, and plans how to
+read them.
+"""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,16 +33,17 @@ _MOST_NAMED = 8
 _MOVES = (ODOMETRY, *POSES)
 _AT_ORIGIN = (np.eye(3), np.zeros(3))
 
-# A Crazyflie drone records its log blocks as plain arrays, and the topics' names describe their content. One holds
-# the right, front, left, back and up range (m) and the quaternion of the attitude, the other one the position (m) by
-# dead reckoning and the velocity.
+# A Crazyflie drone records its log blocks as plain arrays, and the topics' names describe their
+# content. One holds the right, front, left, back and up range (m) and the quaternion of the
+# attitude, the other one the position (m) by dead reckoning and the velocity.
 _RANGER, _POSITION = "state_ranger_qxyzw", "state_xyzv"
 _CRAZYFLIE_BEAMS_DEG, _QUATERNION = (-90.0, 0.0, 90.0, 180.0), slice(5, 9)
 
 
 Topics = Mapping[str, float | None]
-"""Topics chosen by the user: of LaserScans, which are combined, or Ranges, and of one Odometry or pose. A Range may
-have the direction of its beam, deg, left positive. What is not chosen is found by its type.
+"""Topics chosen by the user: of LaserScans, which are combined, or Ranges, and of one Odometry or
+pose. A Range may have the direction of its beam, deg, left positive. What is not chosen is found by
+its type.
 """
 
 
@@ -57,14 +60,20 @@ class Plan:
     """How a bag becomes a log."""
 
     beams: list[SensorSpec]
-    scans: list[Reader]  # Readers of ranges. Their columns side by side, in the order ``columns``, belong to the beams.
+    scans: list[
+        Reader
+        # Readers of ranges. Their columns side by side, in the order ``columns``, belong to the
+        # beams.
+    ]
     columns: IntArray  # (n_beams,)
     moves: list[Reader]  # Readers whose columns side by side are x, y and heading
 
 
 @dataclass(frozen=True, eq=False)
 class Sensor:
-    """A topic with ranges: its beams on the body, and a function that reads some beams (m) from a message."""
+    """A topic with ranges: its beams on the body, and a function that reads some beams (m) from a
+    message.
+    """
 
     topic: str
     beams: list[SensorSpec]
@@ -72,15 +81,21 @@ class Sensor:
 
 
 def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_range: float) -> Plan:
-    """Choose topics and beams. Raises a ValueError if there are too few or too many candidates, or a requested topic is
-    missing, empty or of another type.
+    """Choose topics and beams. Raises a ValueError if there are too few or too many candidates, or
+    a requested topic is missing, empty or of another type.
     """
     if not topics and (plan := _crazyflie(bag.types, beams_deg, max_range)) is not None:
         return plan
     chosen = {name: degrees for topic, degrees in topics.items() for name in [_given(bag, topic)]}
-    directed = [topic for topic, degrees in chosen.items() if degrees is not None and bag.types[topic] != RANGE]
+    directed = [
+        topic
+        for topic, degrees in chosen.items()
+        if degrees is not None and bag.types[topic] != RANGE
+    ]
     if directed:
-        raise ValueError(f"{directed[0]} holds {bag.types[directed[0]]}: only a Range has a direction to choose")
+        raise ValueError(
+            f"{directed[0]} holds {bag.types[directed[0]]}: only a Range has a direction to choose"
+        )
     scans, ranges = _sensor_topics(bag, chosen)
     odometry = _odometry_topic(bag, chosen)
     mounts = _mounts(bag, odometry)
@@ -92,9 +107,16 @@ def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_ra
     return _choose(sensors, [Reader(odometry, pose_of)], beams_deg)
 
 
-def _crazyflie(types: Mapping[str, str], beams_deg: Sequence[float] | None, max_range: float) -> Plan | None:
-    """How to read the bag of a Crazyflie drone. None unless there is exactly one. Its fifth beam, up, is left out."""
-    found = [[topic for topic in types if topic.rpartition("/")[2] == name] for name in (_RANGER, _POSITION)]
+def _crazyflie(
+    types: Mapping[str, str], beams_deg: Sequence[float] | None, max_range: float
+) -> Plan | None:
+    """How to read the bag of a Crazyflie drone. None unless there is exactly one. Its fifth beam,
+    up, is left out.
+    """
+    found = [
+        [topic for topic in types if topic.rpartition("/")[2] == name]
+        for name in (_RANGER, _POSITION)
+    ]
     if [len(topics) for topics in found] != [1, 1]:
         return None
     (ranger,), (position,) = found
@@ -103,7 +125,9 @@ def _crazyflie(types: Mapping[str, str], beams_deg: Sequence[float] | None, max_
         Reader(ranger, lambda message: [yaw_of(message.raw[_QUATERNION])]),
     ]
     beams = [beam(np.radians(degrees), max_range) for degrees in _CRAZYFLIE_BEAMS_DEG]
-    return _choose([Sensor(ranger, beams, lambda message, columns: message.raw[columns])], moves, beams_deg)
+    return _choose(
+        [Sensor(ranger, beams, lambda message, columns: message.raw[columns])], moves, beams_deg
+    )
 
 
 def _choose(sensors: list[Sensor], moves: list[Reader], beams_deg: Sequence[float] | None) -> Plan:
@@ -135,18 +159,28 @@ def _sensor_topics(bag: Bag, chosen: Topics) -> tuple[list[str], list[str]]:
         both = f"LaserScan ({', '.join(scans)}) and Range topics ({', '.join(ranges)})"
         raise ValueError(f"has {both}: choose with --topics")
     if len(scans) > 1:
-        raise ValueError(f"has {len(scans)} LaserScan topics, {', '.join(scans)}: choose with --topics")
+        raise ValueError(
+            f"has {len(scans)} LaserScan topics, {', '.join(scans)}: choose with --topics"
+        )
     if not scans and not ranges:
         raise ValueError(f"has no LaserScan and no Range; {_contents(bag)}")
     return scans, ranges
 
 
 def _odometry_topic(bag: Bag, chosen: Topics) -> str:
-    """The topic of odometry, which is preferred to poses: they are often goals or estimates of other programs."""
+    """The topic of odometry, which is preferred to poses: they are often goals or estimates of
+    other programs.
+    """
     wanted = [topic for kind in _MOVES for topic in _of_type(bag, kind, chosen)]
-    for found in (wanted, _of_type(bag, ODOMETRY), [topic for kind in POSES for topic in _of_type(bag, kind)]):
+    for found in (
+        wanted,
+        _of_type(bag, ODOMETRY),
+        [topic for kind in POSES for topic in _of_type(bag, kind)],
+    ):
         if len(found) > 1:
-            raise ValueError(f"has {len(found)} topics with poses, {', '.join(found)}: choose one with --topics")
+            raise ValueError(
+                f"has {len(found)} topics with poses, {', '.join(found)}: choose one with --topics"
+            )
         if found:
             return found[0]
     raise ValueError(f"has no Odometry and no pose; {_contents(bag)}")
@@ -172,7 +206,10 @@ def _given(bag: Bag, topic: str) -> str:
 
 
 def _contents(bag: Bag) -> str:
-    names = [f"{topic} ({kind}{'' if bag.counts[topic] else ', empty'})" for topic, kind in sorted(bag.types.items())]
+    names = [
+        f"{topic} ({kind}{'' if bag.counts[topic] else ', empty'})"
+        for topic, kind in sorted(bag.types.items())
+    ]
     if not names:
         return "it has no topics at all"
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
@@ -181,7 +218,11 @@ def _contents(bag: Bag) -> str:
 
 def _mounts(bag: Bag, odometry: str) -> Mounts:
     mounts = Mounts(getattr(bag.first(odometry), "child_frame_id", None))
-    fixed = [topic for topic, kind in bag.types.items() if kind in TRANSFORMS and topic.endswith("tf_static")]
+    fixed = [
+        topic
+        for topic, kind in bag.types.items()
+        if kind in TRANSFORMS and topic.endswith("tf_static")
+    ]
     for told in bag.messages(fixed):
         mounts.add(told.content)
     return mounts
@@ -198,23 +239,31 @@ def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
     if not len(level):
         raise ValueError(f"all beams of {topic} look up or down")
     flat = [each for each in seen if each is not None]
-    return Sensor(topic, flat, lambda message, columns: scan_readings(message, angles[level[columns]]))
+    return Sensor(
+        topic, flat, lambda message, columns: scan_readings(message, angles[level[columns]])
+    )
 
 
-def _range_sensor(bag: Bag, topic: str, degrees: float | None, mounts: Mounts, max_range: float) -> Sensor | None:
+def _range_sensor(
+    bag: Bag, topic: str, degrees: float | None, mounts: Mounts, max_range: float
+) -> Sensor | None:
     """The single beam of a Range. None if the beam looks up or down."""
     first = bag.first(topic)
     mount = mounts.find(first.header.frame_id)
     limits = sensor_limits(float(first.min_range), float(first.max_range), max_range)
     if degrees is not None:
         x, y = (0.0, 0.0) if mount is None else map(float, mount[1][:2])
-        found: SensorSpec | None = beam(np.radians(degrees), limits[1], x=x, y=y, min_range=limits[0])
+        found: SensorSpec | None = beam(
+            np.radians(degrees), limits[1], x=x, y=y, min_range=limits[0]
+        )
     elif mount is not None:
         found = beam_on_body(mount, 0.0, limits)
     elif is_vertical(first.header.frame_id):
         found = None
     else:
-        found = beam(np.radians(_guess(topic, first.header.frame_id)), limits[1], min_range=limits[0])
+        found = beam(
+            np.radians(_guess(topic, first.header.frame_id)), limits[1], min_range=limits[0]
+        )
     if found is None:
         return None
     return Sensor(topic, [found], lambda message, columns: [float(message.range)] * len(columns))

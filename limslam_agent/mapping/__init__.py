@@ -1,1 +1,3 @@
-"""Mapping: SLAM, status, places and grid of one robot or several, in one frame or one frame after the other."""
+"""Mapping: SLAM, status, places and grid of one robot or several, in one frame or one frame after
+the other.
+"""

@@ -1,4 +1,6 @@
-"""FrameMapper: SLAM, status monitors, occupancy grid and renewal, as long as the robots stay in one frame."""
+"""FrameMapper: SLAM, status monitors, occupancy grid and renewal, as long as the robots stay in one
+frame.
+"""
 
 import time
 from collections.abc import Sequence
@@ -22,8 +24,8 @@ from limslam_env.interface import Observation
 class FrameMapper:
     """Processes the observations of all robots in one frame, with one map.
 
-    Each step runs the SLAM, watches whether its estimates can be trusted, draws the readings into the occupancy grid,
-    and renews estimate and grid if that is due.
+    Each step runs the SLAM, watches whether its estimates can be trusted, draws the readings into
+    the occupancy grid, and renews estimate and grid if that is due.
 
     Attributes
     ----------
@@ -32,8 +34,8 @@ class FrameMapper:
     monitors
         The monitor of each robot's estimate.
     drawers
-        What draws each robot's readings into the grid, and knows how often the beams miss walls. Those of an earlier
-        frame may be given.
+        What draws each robot's readings into the grid, and knows how often the beams miss walls.
+        Those of an earlier frame may be given.
     renewal
         What smooths the last minutes.
     slam_ms
@@ -41,7 +43,11 @@ class FrameMapper:
     """
 
     def __init__(
-        self, slam: LineSlam, grid: OccupancyGrid, config: AgentConfig, drawers: Sequence[ReadingDrawer] = ()
+        self,
+        slam: LineSlam,
+        grid: OccupancyGrid,
+        config: AgentConfig,
+        drawers: Sequence[ReadingDrawer] = (),
     ) -> None:
         self.slam, self.grid, self._config, self.slam_ms = slam, grid, config, 0.0
         self.drawers = drawers or self._new_drawers()
@@ -58,7 +64,9 @@ class FrameMapper:
         slam = self.slam
         self.monitors = [StatusMonitor(slam.robot, slam.range_sensor) for _ in slam.robots]
 
-    def process(self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True) -> bool:
+    def process(
+        self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True
+    ) -> bool:
         """Process one observation of each robot.
 
         Parameters
@@ -70,20 +78,22 @@ class FrameMapper:
 
         Returns
         -------
-        Whether a renewal in this step has moved the path far: plans and copies made before mean nothing in the moved
-        map.
+        Whether a renewal in this step has moved the path far: plans and copies made before mean
+        nothing in the moved map.
         """
         begin, before = time.perf_counter(), self.slam.poses
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
         off = self.slam.poses - compose(before, np.array(self.slam.increments))
-        if np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION:  # of one robot, and so the map of all has moved
+        if (
+            np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION
+        ):  # of one robot, and so the map of all has moved
             for monitor in self.monitors:
                 monitor.forget_map()
         known, sensor = self.monitors[0].sensor, self.slam.range_sensor
         if sensor.turns != known.turns:
-            # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place,
-            # and must not erase the doubts that these readings have raised.
+            # The beams point elsewhere than was known. A further correction may be due to readings
+            # at a wrong place, and must not erase the doubts that these readings have raised.
             self.drawers = self._new_drawers()
             if known.turns:
                 for monitor in self.monitors:
@@ -93,12 +103,16 @@ class FrameMapper:
         last, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
             self._watch(number, observations[number], is_busy=last is not self._extraction)
-        for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
+        for pose, front, drawer in zip(
+            self.slam.poses, self.slam.robots, self.drawers, strict=True
+        ):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
         return self._renew(observations[0], may_renew=may_renew)
 
     def renew_lost(self) -> bool:
-        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
+        """Renew the estimate of a robot that has just been lost, if that explains its readings;
+        whether it was done.
+        """
         is_renewed = self.renewal.renew_lost()
         if is_renewed:
             self.grid = self.renewal.grid
@@ -109,13 +123,17 @@ class FrameMapper:
         return [ReadingDrawer(self.slam.mounted) for _ in self.slam.robots]
 
     def _watch(self, number: int, observation: Observation, *, is_busy: bool) -> None:
-        """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
+        """Tell a robot's monitor the motion and the readings of this step, and let it compare them
+        if that is due.
+        """
         monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
         sight = Sight.of(front, slam.poses[number], slam.increments[number], observation)
         if monitor.observe(sight, is_busy=is_busy):
             monitor.sensor = slam.range_sensor
             counts = self._config.free_space_counts
-            known = KnownMap(slam.segments, self.grid.view, slam.range_sensor, free_space_counts=counts)
+            known = KnownMap(
+                slam.segments, self.grid.view, slam.range_sensor, free_space_counts=counts
+            )
             monitor.check(slam.covariances[number], known)
             if monitor.broken is not None and slam.is_renewable:
                 slam.leave_out(monitor.broken)

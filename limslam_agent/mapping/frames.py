@@ -1,4 +1,6 @@
-"""Frames: the frames in which robots map one after the other, and how a lost robot goes from one to the next."""
+"""Frames: the frames in which robots map one after the other, and how a lost robot goes from one to
+the next.
+"""
 
 from collections.abc import Iterable
 
@@ -21,17 +23,21 @@ WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place 
 
 
 class Frames:
-    """The present frame of one robot or several, with its SLAM and grid, and what is known in every frame.
+    """The present frame of one robot or several, with its SLAM and grid, and what is known in every
+    frame.
 
     Attributes
     ----------
     slam_ms
-        Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
+        Wall-clock time that the SLAM took in the latest step, without the grid and the odometry,
+        ms.
     frame
-        Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
-        found its place, and then in the earlier frame again. A renewal that moves the path far counts as well.
+        Number of times that the frame of the poses has changed: a lost robot goes on in a local
+        frame until it has found its place, and then in the earlier frame again. A renewal that
+        moves the path far counts as well.
     map_number
-        Number of the present map. A local frame has a map of its own; in the earlier frame, the number is as before.
+        Number of the present map. A local frame has a map of its own; in the earlier frame, the
+        number is as before.
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig) -> None:
@@ -47,7 +53,9 @@ class Frames:
 
     @property
     def slam(self) -> LineSlam:
-        """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame has another SLAM."""
+        """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame
+        has another SLAM.
+        """
         return self._present.slam
 
     def _found(self) -> tuple[RangeSensor | None, list[bool]]:
@@ -55,7 +63,9 @@ class Frames:
         return self.slam.sensor, [found is not None for found in self.slam.odometry_calibrations]
 
     def _slam_at(self, starts: FloatArray) -> LineSlam:
-        """A SLAM with an empty map and robots at these poses, with what is known of odometry and sensor."""
+        """A SLAM with an empty map and robots at these poses, with what is known of odometry and
+        sensor.
+        """
         sensor, is_calibrated = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
         slam = LineSlam(self.robot, config, starts, sensor)
@@ -64,7 +74,9 @@ class Frames:
         return slam
 
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
-        """Go on with another SLAM and grid, in another frame, with what is known of odometry and sensor."""
+        """Go on with another SLAM and grid, in another frame, with what is known of odometry and
+        sensor.
+        """
         slam.learn_from(self.slam)
         self._present = FrameMapper(slam, grid, self.config, self._present.drawers)
         self.frame, self.map_number = self.frame + 1, self._own_map
@@ -83,16 +95,24 @@ class Frames:
             self.slam_ms += self._present.slam_ms
             poses.append(self.slam.pose)
             covariances.append(self.slam.covariance)
-        return Revision(begin, np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3))
+        return Revision(
+            begin, np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3)
+        )
 
     def _replay(self, log: StepLog, begin: int, end: int) -> Revision:
-        """Process the logged steps from ``begin`` to before ``end`` again, and log their new poses."""
-        again = self._process_again((log[number].observation for number in range(begin, end)), begin)
+        """Process the logged steps from ``begin`` to before ``end`` again, and log their new
+        poses.
+        """
+        again = self._process_again(
+            (log[number].observation for number in range(begin, end)), begin
+        )
         log.move(begin, again.poses)
         return again
 
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
-        """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
+        """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place
+        again.
+        """
         own, sensor = self._present.monitors[0], self.slam.range_sensor
         step = Sight.of(self.slam.robots[0], self.slam.pose, motion, observation)
         recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
@@ -111,8 +131,11 @@ class Frames:
                 recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
 
     def _lose(self, recovery: Recovery, loss: Loss, jump: float) -> None:
-        """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local frame."""
-        # The map of a local frame does not say where the robot is in the frame that it was lost from.
+        """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local
+        frame.
+        """
+        # The map of a local frame does not say where the robot is in the frame that it was lost
+        # from.
         known = None if recovery.is_lost else loss.known
         if recovery.may_be_wrong and known is None:
             self._revisions.pop()  # the place that was found was wrong
@@ -130,7 +153,8 @@ class Frames:
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost.
 
-        The new map takes the place of the earlier one if that has too few walls for the robot to be found in it.
+        The new map takes the place of the earlier one if that has too few walls for the robot to be
+        found in it.
         """
         absence, log = recovery.absence, recovery.log
         assert absence is not None  # noqa: S101 (the robot is lost)
@@ -141,7 +165,8 @@ class Frames:
         self._use(slam, OccupancyGrid(self.config.grid))
         self._number_map(is_own=is_anew)
         self.slam.robots[0].step = absence.first - 1
-        # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
+        # The first step may be a jump of the odometry, which the local frame begins with and need
+        # not doubt again.
         second = min(absence.first + 1, log.end)
         begun = self._replay(log, absence.first, second)
         self._present.begin_anew()
@@ -150,13 +175,17 @@ class Frames:
             self._revise(begun, again)
 
     def _go_on_renewed(self, recovery: Recovery) -> bool:
-        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
+        """Renew the estimate of a robot that has just been lost, if that explains its readings;
+        whether it was done.
+        """
         is_renewed = self._present.renew_lost()
         if is_renewed:
             renewal = self._present.renewal
             poses, covariances = renewal.poses, renewal.covariances
             self.frame += renewal.has_jumped
-            self._revisions.append(Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances)))
+            self._revisions.append(
+                Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances))
+            )
             recovery.has_been_renewed(poses, self.slam, self._present.grid)
         return is_renewed
 
@@ -168,21 +197,26 @@ class Frames:
         self.slam.robots[0].step = log.begin - 1
         before = self._replay(log, log.begin, found.step)
         found, closed = found.put(self.slam, self._present.grid)
-        # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
-        # smoothed.
+        # The comparisons until now have seen how the robot was carried away, and no stretch with
+        # that motion can be smoothed.
         self._present.begin_anew()
         self._revise(before, self._replay(log, found.step, log.end))
-        # The search has weighed the readings of these steps together. While they are processed again, a bent map may
-        # contradict a few of them, and the robot would be lost and found in turns.
+        # The search has weighed the readings of these steps together. While they are processed
+        # again, a bent map may contradict a few of them, and the robot would be lost and found in
+        # turns.
         self._present.reset_monitors()
         recovery.has_joined(found, closed)
 
     def _give_up(self, recovery: Recovery) -> None:
-        """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
+        """Take back the map that the robot was lost from. The robot's place in it remains
+        unknown.
+        """
         absence = recovery.absence
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         local = self._present.grid.copied().view
-        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, local)
+        self._unplaced = Unplaced(
+            absence.known.step, self.slam.segments, self.slam.landmarks, local
+        )
         pose, covariance = self.slam.pose, self.slam.covariance
         self._use(*absence.known.copied())
         self.slam.relocate(pose, covariance)

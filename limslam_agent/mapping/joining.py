@@ -1,4 +1,6 @@
-"""JoiningMapper: two robots that do not know where they are relative to each other, until their maps fit together."""
+"""JoiningMapper: two robots that do not know where they are relative to each other, until their
+maps fit together.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,11 +29,17 @@ from limslam_env.interface import Observation, RobotSpec
 if TYPE_CHECKING:
     from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun
 
-NOT_YET_JOINED = Status("unsure", "the second robot's place relative to the first one is not known yet")
+NOT_YET_JOINED = Status(
+    "unsure", "the second robot's place relative to the first one is not known yet"
+)
 """The status of the second robot before the maps of both robots fit together."""
 
-NOT_YET_CONFIRMED = Status("unsure", "the second robot's place relative to the first one is not confirmed yet")
-"""The status of the second robot while a part of the building that was not seen yet may look like its place."""
+NOT_YET_CONFIRMED = Status(
+    "unsure", "the second robot's place relative to the first one is not confirmed yet"
+)
+"""The status of the second robot while a part of the building that was not seen yet may look like
+its place.
+"""
 
 _POCKET = 4  # cells of an unknown region into which a robot fits
 
@@ -48,7 +56,8 @@ class Earlier:
     Attributes
     ----------
     poses, covariances, odometry
-        Poses of both robots (t, 2, 3), m and rad, their covariances (t, 2, 3, 3), and poses by odometry alone.
+        Poses of both robots (t, 2, 3), m and rad, their covariances (t, 2, 3, 3), and poses by
+        odometry alone.
     """
 
     poses: FloatArray
@@ -57,16 +66,19 @@ class Earlier:
 
 
 class JoiningMapper(Mapper):
-    """Maps with two robots. The pose at which the second robot starts is not known in the frame of the first one.
+    """Maps with two robots. The pose at which the second robot starts is not known in the frame of
+    the first one.
 
-    Each robot maps in a frame of its own, and the frame of the first robot is the world frame. When both maps fit
-    together in one place only, both drives are smoothed as one, and the robots go on as a team, with one SLAM that
-    knows the smoothed map. Each of them also goes on in its own frame, until their place is confirmed or refuted there.
+    Each robot maps in a frame of its own, and the frame of the first robot is the world frame. When
+    both maps fit together in one place only, both drives are smoothed as one, and the robots go on
+    as a team, with one SLAM that knows the smoothed map. Each of them also goes on in its own
+    frame, until their place is confirmed or refuted there.
 
     Attributes
     ----------
     earlier
-        The steps until the robots were joined or parted for the last time; None if they were never joined.
+        The steps until the robots were joined or parted for the last time; None if they were never
+        joined.
 
     Raises
     ------
@@ -78,14 +90,19 @@ class JoiningMapper(Mapper):
         super().__init__(robot, config, np.zeros((2, 3)))
 
     def reset(self, start_pose: FloatArray) -> None:
-        """Forget everything. The poses (2, 3): the first robot's in the world, the second one's in its own frame."""
+        """Forget everything. The poses (2, 3): the first robot's in the world, the second one's in
+        its own frame.
+        """
         self.is_apart = False
         self.earlier: Earlier | None = None
         super().reset(start_pose)
         if not self.config.can_recover or len(self._starts) != 2:
-            raise ValueError("unknown starts are for two robots with the preset graph or consistent")
+            raise ValueError(
+                "unknown starts are for two robots with the preset graph or consistent"
+            )
         self.is_apart, self._meeting = True, Meeting(self.robot)
-        # What ends in space that is known to be free may be the body of the other robot, and contradicts no map.
+        # What ends in space that is known to be free may be the body of the other robot, and
+        # contradicts no map.
         config = replace(self.config, free_space_counts=False)
         self._alone = [Mapper(self.robot, config, start) for start in self._starts]
         self._changes = 0  # number of times that the robots were joined or parted
@@ -107,7 +124,9 @@ class JoiningMapper(Mapper):
             self._compare()
 
     def finish(self) -> None:
-        """Use the readings that are still buffered, and look once more whether the maps fit together."""
+        """Use the readings that are still buffered, and look once more whether the maps fit
+        together.
+        """
         for mapper in self._alone:
             mapper.finish()
         if self._meeting.is_open and self.is_apart:
@@ -132,8 +151,14 @@ class JoiningMapper(Mapper):
 
     @property
     def poses(self) -> FloatArray:
-        """Estimated pose of each robot (2, 3), m and rad. That of the second robot is in its own frame at first."""
-        return np.array([mapper.poses[0] for mapper in self._alone]) if self.is_apart else super().poses
+        """Estimated pose of each robot (2, 3), m and rad. That of the second robot is in its own
+        frame at first.
+        """
+        return (
+            np.array([mapper.poses[0] for mapper in self._alone])
+            if self.is_apart
+            else super().poses
+        )
 
     @property
     def dropped(self) -> list[BoolArray]:
@@ -149,8 +174,13 @@ class JoiningMapper(Mapper):
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
         note = NOT_YET_JOINED if self.is_apart else NOT_YET_CONFIRMED
-        first, second = [mapper.statuses[0] for mapper in self._alone] if self.is_apart else super().statuses
-        return [first, note if second.level == "ok" and (self.is_apart or self._meeting.is_open) else second]
+        first, second = (
+            [mapper.statuses[0] for mapper in self._alone] if self.is_apart else super().statuses
+        )
+        return [
+            first,
+            note if second.level == "ok" and (self.is_apart or self._meeting.is_open) else second,
+        ]
 
     @property
     def beliefs(self) -> list[Belief]:
@@ -169,7 +199,9 @@ class JoiningMapper(Mapper):
 
     @property
     def places(self) -> PlaceHistory:
-        """How the search ended. The second robot's own map is known after :meth:`finish`, if it was not placed."""
+        """How the search ended. The second robot's own map is known after :meth:`finish`, if it was
+        not placed.
+        """
         return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
 
     def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
@@ -184,7 +216,9 @@ class JoiningMapper(Mapper):
             mapper.step(observation)
         if self._meeting.is_open:
             seen = zip(observations, [mapper.slam for mapper in self._alone], strict=True)
-            self._meeting.note([Sight.of(own.robots[0], own.pose, own.increments[0], each) for each, own in seen])
+            self._meeting.note(
+                [Sight.of(own.robots[0], own.pose, own.increments[0], each) for each, own in seen]
+            )
             odometry = np.concatenate([mapper.odometry for mapper in self._alone])
             own_poses = np.array([mapper.poses[0] for mapper in self._alone])
             self._rows.append((own_poses, self._covariances_apart, odometry))
@@ -215,7 +249,8 @@ class JoiningMapper(Mapper):
             self._seek_other()
 
     def _seek_other(self) -> None:
-        """Search for the second robot in the map of the first one, and go on as a team if it fits in one place only.
+        """Search for the second robot in the map of the first one, and go on as a team if it fits
+        in one place only.
 
         A lost robot is not in its map. The search goes on when both know their places again.
         """
@@ -229,16 +264,23 @@ class JoiningMapper(Mapper):
 
     @property
     def _is_one_elsewhere(self) -> bool:
-        """Whether the wheels of a robot do not tell all its motions, or its map does not begin at its start."""
+        """Whether the wheels of a robot do not tell all its motions, or its map does not begin at
+        its start.
+        """
         places = [mapper.places for mapper in self._alone]
-        return any(each.breaks or any(record["event"] == "begun anew" for record in each.records) for each in places)
+        return any(
+            each.breaks or any(record["event"] == "begun anew" for record in each.records)
+            for each in places
+        )
 
     @property
     def _is_one_lost(self) -> bool:
         return any(mapper.statuses[0].level == "lost" for mapper in self._alone)
 
     def _join(self, frame: FloatArray) -> None:
-        """Go on in the map of both drives, smoothed as one, with the second robot's frame at about a pose (3,)."""
+        """Go on in the map of both drives, smoothed as one, with the second robot's frame at about
+        a pose (3,).
+        """
         smoothed = self._smoothed_together(frame)
         if smoothed is None:
             return
@@ -264,7 +306,9 @@ class JoiningMapper(Mapper):
         self._meeting.has_joined(start)
 
     def _smoothed_together(self, frame: FloatArray) -> "SmoothedRun | None":
-        """Both drives, smoothed as one, with the second robot's frame at about a pose (3,); None if that fails."""
+        """Both drives, smoothed as one, with the second robot's frame at about a pose (3,); None if
+        that fails.
+        """
         # The kernels of the smoother load numba, which takes time that other commands do not need.
         from limslam_agent.slam.line_graph.smoother import beside, smooth_with_unknown_start
 
@@ -276,19 +320,38 @@ class JoiningMapper(Mapper):
         """The drive of a robot in its own frame."""
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        slam, steps, ranges = self._alone[number].slam, self._meeting.steps[number], self._meeting.ranges[:, [number]]
+        slam, steps, ranges = (
+            self._alone[number].slam,
+            self._meeting.steps[number],
+            self._meeting.ranges[:, [number]],
+        )
         wheels = np.array([step.observation["wheels"] for step in steps])[:, None]
         poses = np.array([step.pose for step in steps])[:, None]
         return FilteredRun(
-            self.robot, self.config.noise, wheels, ranges, np.isfinite(ranges), poses, np.zeros((*poses.shape, 3)),
-            slam.associations, slam.closures, sensor=slam.sensor,
-        )  # fmt: skip
+            self.robot,
+            self.config.noise,
+            wheels,
+            ranges,
+            np.isfinite(ranges),
+            poses,
+            np.zeros((*poses.shape, 3)),
+            slam.associations,
+            slam.closures,
+            sensor=slam.sensor,
+        )
 
     def _check_joining(self) -> None:
-        """Confirm a joining, or take it back. The own map of a robot that is lost or elsewhere says nothing of it."""
-        own_maps, grid = [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps, self.grid
+        """Confirm a joining, or take it back. The own map of a robot that is lost or elsewhere says
+        nothing of it.
+        """
+        own_maps, grid = (
+            [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps,
+            self.grid,
+        )
         shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
-        is_complete = not leads_to_unseen(grid, self.poses[0], self.config.policy.min_frontier).any()
+        is_complete = not leads_to_unseen(
+            grid, self.poses[0], self.config.policy.min_frontier
+        ).any()
         objection = self._meeting.objection(own_maps, shared, is_complete=is_complete)
         if objection:
             self._part(objection)
@@ -305,10 +368,11 @@ class JoiningMapper(Mapper):
 
 
 def leads_to_unseen(grid: GridView, pose: FloatArray, size: int) -> BoolArray:
-    """Frontier cells (rows, columns) that may lead to a place of its own, in groups of at least ``size``.
+    """Frontier cells (rows, columns) that may lead to a place of its own, in groups of at least
+    ``size``.
 
-    They are reachable from a pose (3,), not beside a wall, where a gap between two beams looks like a frontier, and
-    beside an unknown region into which a robot fits.
+    They are reachable from a pose (3,), not beside a wall, where a gap between two beams looks like
+    a frontier, and beside an unknown region into which a robot fits.
     """
     unknown = np.pad(grid.unknown, 1, constant_values=True)
     regions, _ = ndimage.label(unknown)

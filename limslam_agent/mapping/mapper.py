@@ -1,6 +1,7 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost robot changes frames in
+What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost
+robot changes frames in
 :mod:`limslam_agent.mapping.frames`.
 """
 
@@ -30,12 +31,15 @@ from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 RESTART_WITHIN = 1800
-"""Number of first steps within which a mapper begins again when the SLAM finds errors of odometry or sensor."""
+"""Number of first steps within which a mapper begins again when the SLAM finds errors of odometry
+or sensor.
+"""
 
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
 
-_SAME_NOISE = 1.5  # ratio of the noise of ranges below which the mapper goes on: steps were weighed well enough
+# ratio of the noise of ranges below which the mapper goes on: steps were weighed well enough
+_SAME_NOISE = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +83,9 @@ class MapSnapshot:
 class Mapper(Frames):
     """Estimates poses and builds the map for one robot, or for several robots that share one map.
 
-    Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid from the new poses,
-    and integrates pure odometry for comparison. The mapper chooses no actions: agents, log replay and the observation
-    wrappers all use this class.
+    Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid
+    from the new poses, and integrates pure odometry for comparison. The mapper chooses no actions:
+    agents, log replay and the observation wrappers all use this class.
 
     Parameters
     ----------
@@ -90,29 +94,33 @@ class Mapper(Frames):
     config
         Settings of every stage. The preset ``graph`` by default.
     start_pose
-        Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n robots (n, 3).
+        Pose where the robot starts (3,): x (m), y (m), heading (rad). The origin by default. For n
+        robots (n, 3).
     prior_map
-        The map of an earlier run (:func:`~limslam_agent.places.saved_map.read_saved_map`), in which the robot is at an
-        unknown place. The robot begins in a frame of its own, at ``start_pose``. When its map fits into the earlier map
-        in one place only, it goes on in the earlier map.
+        The map of an earlier run (:func:`~limslam_agent.places.saved_map.read_saved_map`), in which
+        the robot is at an unknown place. The robot begins in a frame of its own, at ``start_pose``.
+        When its map fits into the earlier map in one place only, it goes on in the earlier map.
 
     Attributes
     ----------
     odometry
-        Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings. Read-only; each
-        step makes a new array.
+        Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings.
+        Read-only; each step makes a new array.
     longest_travel
-        Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
-        in a control period. Set it higher if observations may be farther apart than 300 control periods.
+        Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's
+        largest wheel speed allows in a control period. Set it higher if observations may be farther
+        apart than 300 control periods.
     is_apart
         Whether each robot maps in a frame of its own, since their relative starts are unknown.
     prior_frame
-        Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
+        Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place
+        there is found.
 
     Raises
     ------
     ValueError
-        If a start pose has another shape or is not finite, or an earlier map does not go with the other settings.
+        If a start pose has another shape or is not finite, or an earlier map does not go with the
+        other settings.
     """
 
     is_apart = False
@@ -140,7 +148,10 @@ class Mapper(Frames):
         """
         starts = np.array(start_pose, dtype=float, ndmin=2)
         if starts.ndim != 2 or starts.shape[0] == 0 or starts.shape[1] != 3:
-            raise ValueError(f"a start pose has the shape (3,), or (n, 3) for n robots, not {np.shape(start_pose)}")
+            raise ValueError(
+                "a start pose has the shape (3,), or (n, 3) for n robots, not "
+                f"{np.shape(start_pose)}"
+            )
         if not np.isfinite(starts).all():
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
         self._restarts = 0
@@ -167,10 +178,13 @@ class Mapper(Frames):
         TypeError
             If an observation is not a dictionary.
         ValueError
-            If there is not one observation for each robot, an observation has the wrong shape or reports no motion, a
-            wheel travels farther than ``longest_travel``, or the map grows beyond all bounds.
+            If there is not one observation for each robot, an observation has the wrong shape or
+            reports no motion, a wheel travels farther than ``longest_travel``, or the map grows
+            beyond all bounds.
         """
-        for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
+        for front, observation in zip(
+            self.slam.robots, observations, strict=False
+        ):  # the SLAM checks their number
             self.check(observation, front)
         told = copied(observations)
         observations = tuple(self._waiting.synchronous(told, self.slam.range_sensor.delay))
@@ -182,11 +196,17 @@ class Mapper(Frames):
         if has_jumped:
             self.frame += 1
             if self._recovery is not None:
-                self._recovery.move(self._present.renewal.poses[:-1])  # the present step is noted afterwards
-        self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
+                self._recovery.move(
+                    self._present.renewal.poses[:-1]
+                )  # the present step is noted afterwards
+        self.odometry = np.array(
+            [compose(*each) for each in zip(self.odometry, motions, strict=True)]
+        )
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
-            self._lookup.note(Sight.of(self.slam.robots[0], self.slam.pose, motions[0], observations[0]))
+            self._lookup.note(
+                Sight.of(self.slam.robots[0], self.slam.pose, motions[0], observations[0])
+            )
         if self._is_to_restart(told):
             self._restart()
             return
@@ -196,10 +216,12 @@ class Mapper(Frames):
             self._look_up(self._lookup)
 
     def finish(self) -> None:
-        """Use the readings that are still buffered. Call this after the last step; a second call does nothing.
+        """Use the readings that are still buffered. Call this after the last step; a second call
+        does nothing.
 
-        A robot that is still lost then gets the map back that it was lost from. There is no last search for its place:
-        without further driving, a match would agree with the one before, and say nothing new.
+        A robot that is still lost then gets the map back that it was lost from. There is no last
+        search for its place: without further driving, a match would agree with the one before, and
+        say nothing new.
         """
         if self._is_finished:
             return
@@ -211,7 +233,9 @@ class Mapper(Frames):
             self._give_up(self._recovery)
         elif self._recovery is not None and self._recovery.is_placed:
             # The run may have ended because nothing is left to see, between two looks at the place.
-            self._recovery.confirm(self._present.monitors[0].by_readings, self.slam, self._present.grid.view)
+            self._recovery.confirm(
+                self._present.monitors[0].by_readings, self.slam, self._present.grid.view
+            )
         self.slam.finish()
 
     @property
@@ -223,26 +247,41 @@ class Mapper(Frames):
     def beliefs(self) -> list[Belief]:
         """The belief of each robot. Later steps do not change it."""
         slam, grid = self.slam, self.grid
-        poses, covariances, segments, statuses = self.poses, self.covariances, slam.segments, self.statuses
+        poses, covariances, segments, statuses = (
+            self.poses,
+            self.covariances,
+            slam.segments,
+            self.statuses,
+        )
         return [
             Belief(
-                poses[number], covariances[number], front.ranges, segments, grid,
-                np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0], status=statuses[number],
-                frame=self.frame, map_number=self.map_number,
+                poses[number],
+                covariances[number],
+                front.ranges,
+                segments,
+                grid,
+                np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0],
+                status=statuses[number],
+                frame=self.frame,
+                map_number=self.map_number,
                 guesses=() if self._recovery is None else self._recovery.guesses,
             )
             for number, front in enumerate(slam.robots)
-        ]  # fmt: skip
+        ]
 
     @property
     def poses(self) -> FloatArray:
-        """Estimated pose of each robot (n, 3), m and rad. Late ranges are those of an earlier pose."""
+        """Estimated pose of each robot (n, 3), m and rad. Late ranges are those of an earlier
+        pose.
+        """
         poses, travel = self.slam.poses, self._waiting.travel
         return ahead(poses, travel, self.robot.axle) if travel.any() else poses
 
     @property
     def dropped(self) -> list[BoolArray]:
-        """The latest beams of each robot (n_beams,) that were ignored, since they may have hit a teammate."""
+        """The latest beams of each robot (n_beams,) that were ignored, since they may have hit a
+        teammate.
+        """
         return [front.dropped for front in self.slam.robots]
 
     @property
@@ -264,16 +303,22 @@ class Mapper(Frames):
             records = [*self._lookup.records, *records]
         is_suspicious = self._present.monitors[0].is_suspicious
         slips = list(recovery.slips)
-        return PlaceHistory(list(self._revisions), breaks, slips, self._unplaced, records, is_suspicious)
+        return PlaceHistory(
+            list(self._revisions), breaks, slips, self._unplaced, records, is_suspicious
+        )
 
     @property
     def covariances(self) -> FloatArray:
-        """Covariance of each robot's pose (n, 3, 3): that of the filter, and more while the robot is lost."""
+        """Covariance of each robot's pose (n, 3, 3): that of the filter, and more while the robot
+        is lost.
+        """
         covariances = self.slam.covariances
         for number, monitor in enumerate(self._present.monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
-        return covariances if self._recovery is None else covariances + self._recovery.added_covariance
+        return (
+            covariances if self._recovery is None else covariances + self._recovery.added_covariance
+        )
 
     @property
     def grid(self) -> GridView:
@@ -286,15 +331,21 @@ class Mapper(Frames):
     def snapshot(self) -> MapSnapshot:
         """The map and the poses now. Later steps do not change the snapshot."""
         slam = self.slam
-        return MapSnapshot(self.poses, self.covariances, self.odometry, slam.landmarks, slam.segments, self.grid)
+        return MapSnapshot(
+            self.poses, self.covariances, self.odometry, slam.landmarks, slam.segments, self.grid
+        )
 
     def check(self, observation: Observation, front: FrontEnd | None = None) -> None:
-        """Refuse an observation that :meth:`step` cannot process, of the first robot or of another one's front end."""
+        """Refuse an observation that :meth:`step` cannot process, of the first robot or of another
+        one's front end.
+        """
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
     def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
-        """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
+        """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which
+        are kept.
+        """
         if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
         before, self._known = self._known, self._found()
@@ -312,10 +363,12 @@ class Mapper(Frames):
         return self._known != before and self._restarts < MOST_RESTARTS
 
     def _restart(self) -> None:
-        """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.
+        """Process all observations again, by a filter that knows the errors of odometry and sensor
+        from the start.
 
-        The filter that has just found out that they are not as specified has mapped the first metres with large errors
-        of the heading, and the linear correction of its state leaves errors of second order.
+        The filter that has just found out that they are not as specified has mapped the first
+        metres with large errors of the heading, and the linear correction of its state leaves
+        errors of second order.
         """
         self._restarts += 1
         steps, spent = self._first_steps, self.slam_ms
@@ -326,11 +379,19 @@ class Mapper(Frames):
         self.slam_ms = spent
 
     def _new_recovery(self) -> Recovery | None:
-        """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
-        return Recovery(self.robot, self.config) if self.config.can_recover and len(self._starts) == 1 else None
+        """What follows the estimate of a single robot, if it is to find its place again when it is
+        lost.
+        """
+        return (
+            Recovery(self.robot, self.config)
+            if self.config.can_recover and len(self._starts) == 1
+            else None
+        )
 
     def _look_up(self, lookup: Lookup) -> None:
-        """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
+        """Search the earlier map for the place, and go on in the earlier map if the place is
+        clear.
+        """
         if self._recovery is not None and self._recovery.records:
             lookup.end("the robot was lost before its place was found")
             return

@@ -1,4 +1,6 @@
-"""Renewal of the online estimate in long drives: the last minutes are smoothed while the robot drives on."""
+"""Renewal of the online estimate in long drives: the last minutes are smoothed while the robot
+drives on.
+"""
 
 import copy
 from collections.abc import Sequence
@@ -24,24 +26,29 @@ LEAST_DRIVEN = 1.0
 
 
 class Renewal:
-    """The observations of a robot since its estimate was last renewed, and the estimate at that time.
+    """The observations of a robot since its estimate was last renewed, and the estimate at that
+    time.
 
-    The filter cannot take back a wrong association, and a wrong one is only a matter of time. The smoother can. So the
-    stretch since the last renewal is smoothed every few minutes, and early when a robot is lost. Then only the map
-    remains of the stretch, so that memory and time do not grow with the length of a drive.
+    The filter cannot take back a wrong association, and a wrong one is only a matter of time. The
+    smoother can. So the stretch since the last renewal is smoothed every few minutes, and early
+    when a robot is lost. Then only the map remains of the stretch, so that memory and time do not
+    grow with the length of a drive.
 
-    The occupancy grid stays where it was drawn when the filter corrects poses and walls. A renewal draws it again.
+    The occupancy grid stays where it was drawn when the filter corrects poses and walls. A renewal
+    draws it again.
 
     It begins after the first observation, with the grid that the caller draws.
 
     Attributes
     ----------
     grid
-        The occupancy grid, in which the readings of a renewed stretch are drawn at the smoothed poses.
+        The occupancy grid, in which the readings of a renewed stretch are drawn at the smoothed
+        poses.
     has_jumped
         Whether the last renewal has moved the path far.
     poses
-        Poses (3,) of the robot in the steps of the last stretch that was renewed, by all its readings.
+        Poses (3,) of the robot in the steps of the last stretch that was renewed, by all its
+        readings.
     covariances
         Covariances (3, 3) that the filter stated in these steps.
     is_possible
@@ -50,10 +57,16 @@ class Renewal:
 
     def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
         self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
-        self._first_grid, self.poses, self.covariances = grid, list[FloatArray](), list[FloatArray]()
+        self._first_grid, self.poses, self.covariances = (
+            grid,
+            list[FloatArray](),
+            list[FloatArray](),
+        )
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._start: MapState | None = None
-        self._associations = self._closures = self._first_step = 0  # numbers of those before the stretch
+        self._associations = self._closures = self._first_step = (
+            0  # numbers of those before the stretch
+        )
         wanted = config.renewal is not None and config.run_smoothing is not None
         self.is_possible = wanted and slam.is_renewable
 
@@ -63,7 +76,9 @@ class Renewal:
             self._begin()
         front = self._slam.robots[0]
         travel = np.asarray(observation["wheels"], dtype=float)
-        self._rows.append((travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance))
+        self._rows.append(
+            (travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance)
+        )
 
     def renew_if_due(self) -> bool:
         """Renew the estimate some minutes after the last time; whether it was renewed."""
@@ -75,9 +90,11 @@ class Renewal:
         return is_renewed
 
     def renew_lost(self) -> bool:
-        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was renewed.
+        """Renew the estimate of a robot that has just been lost, if that explains its readings;
+        whether it was renewed.
 
-        The smoother can take back a wrong association. The readings that contradict the estimate then no longer do so.
+        The smoother can take back a wrong association. The readings that contradict the estimate
+        then no longer do so.
         """
         if not self.is_possible or not self._rows or not self._renew(is_expected=False):
             return False
@@ -85,7 +102,9 @@ class Renewal:
         return True
 
     def _renew(self, *, is_expected: bool = True) -> bool:
-        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done."""
+        """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether
+        it was done.
+        """
         found = self._smoothed()
         if found is None:
             return False
@@ -97,15 +116,18 @@ class Renewal:
         poses = [compose(moved, pose) for pose in smoothed[1:]]
         grid = self._drawn(poses)
         believed = [row[3] for row in self._rows[1:]]
-        # A renewal of a lost robot, or one that moves the pose far and by more than the filter states, must explain the
-        # readings better. After any other one, they may fit worse, but not clearly.
+        # A renewal of a lost robot, or one that moves the pose far and by more than the filter
+        # states, must explain the readings better. After any other one, they may fit worse, but not
+        # clearly.
         gain = self._fit(trial, grid, poses) - self._fit(self._slam, self.grid, believed)
         if gain < (-DECIDED if is_expected and self._expects(trial.pose) else DECIDED):
             return False
         self._slam.renew(state)
         self.grid, self.poses = grid, poses
         self.covariances = [row[4] for row in self._rows[1:]]
-        self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > LARGE_CORRECTION)
+        self.has_jumped = bool(
+            np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > LARGE_CORRECTION
+        )
         return True
 
     def _expects(self, pose: FloatArray) -> bool:
@@ -120,34 +142,48 @@ class Renewal:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
         grid = self._first_grid.copied()
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        grid.draw(self._slam.mounted, np.array(poses)[:, None], np.array(ranges)[:, None], np.array(measured)[:, None])
+        grid.draw(
+            self._slam.mounted,
+            np.array(poses)[:, None],
+            np.array(ranges)[:, None],
+            np.array(measured)[:, None],
+        )
         return grid
 
     def _fit(self, slam: LineSlam, grid: OccupancyGrid, poses: Sequence[FloatArray]) -> float:
-        """How well the latest readings, at poses (3,), fit a map: by the likelihood ratio of their contradictions.
+        """How well the latest readings, at poses (3,), fit a map: by the likelihood ratio of their
+        contradictions.
 
         A stretch that was joined wrongly with the map from before passes through walls of that map.
         """
         sensor = slam.range_sensor
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        steps = [Sight(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
+        steps = [
+            Sight(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)
+        ]
         rays = rays_of(steps, slam.robot, sensor)
         return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
 
     def _begin(self) -> None:
-        """Begin a new stretch at the present estimate, which the last observation led to, if there was one."""
+        """Begin a new stretch at the present estimate, which the last observation led to, if there
+        was one.
+        """
         self._rows = self._rows[-1:]
         self._start, self._first_step = self._slam.map_state, self._slam.robots[0].step
         self._associations, self._closures = len(self._slam.associations), len(self._slam.closures)
         self._first_grid = self.grid.copied()
 
     def _smoothed(self) -> tuple[MapState, FloatArray] | None:
-        """The state by all readings of the stretch, and its poses (t, 3); None if the stretch cannot be smoothed."""
+        """The state by all readings of the stretch, and its poses (t, 3); None if the stretch
+        cannot be smoothed.
+        """
         # The kernels of the smoother load numba, which takes time that short drives do not need.
         from limslam_agent.slam.line_graph.renewal import renewed
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        wheels, ranges, usable, poses, covariances = (np.array(each) for each in zip(*self._rows, strict=True))
+        wheels, ranges, usable, poses, covariances = (
+            np.array(each) for each in zip(*self._rows, strict=True)
+        )
         settings = self._config.run_smoothing
         if settings is not None and self._slam.odometry_calibration is not None:
             settings = replace(settings, calibrate="always")

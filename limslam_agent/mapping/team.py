@@ -1,4 +1,6 @@
-"""LimSlamTeam: one shared map and a policy for each of several robots. LimSlamAgent: the same for one robot."""
+"""LimSlamTeam: one shared map and a policy for each of several robots. LimSlamAgent: the same for
+one robot.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +19,8 @@ from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
-_NEWS = 50  # cells that teammates discover, after which a robot that had finished looks for frontiers again
+# cells that teammates discover, after which a robot that had finished looks for frontiers again
+_NEWS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +66,13 @@ class LimSlamTeam:
     num_robots
         Number of robots.
     policies
-        One policy for each robot. By default each robot explores frontiers, and the robots divide the frontiers
-        among themselves. Policies that are given serve for one run.
+        One policy for each robot. By default each robot explores frontiers, and the robots divide
+        the frontiers among themselves. Policies that are given serve for one run.
     prior_map
         The map of an earlier run, in which one robot is at an unknown place (:class:`Mapper`).
     unknown_starts
-        Whether the second of two robots starts at an unknown place. Its start pose is then one in a frame of its own.
+        Whether the second of two robots starts at an unknown place. Its start pose is then one in a
+        frame of its own.
 
     Attributes
     ----------
@@ -124,10 +128,14 @@ class LimSlamTeam:
         del seed
         poses = np.asarray(start_poses, dtype=float)
         if poses.shape != (self.num_robots, 3):
-            raise ValueError(f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not {poses.shape}")
+            raise ValueError(
+                f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not "
+                f"{poses.shape}"
+            )
         self.mapper.reset(poses)
         self.policies: list[Policy] = list(
-            self._given_policies or [explorer(self.robot, self.config) for _ in range(self.num_robots)]
+            self._given_policies
+            or [explorer(self.robot, self.config) for _ in range(self.num_robots)]
         )
         # Number of known cells at the time when each robot stopped.
         self._known_at_stop: dict[int, int] = {}
@@ -135,16 +143,21 @@ class LimSlamTeam:
         self._left: dict[int, list[Policy]] = {}
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
-        """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one observation of each."""
+        """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one
+        observation of each.
+        """
         self.observe([observations[name] for name in self.names])
         return dict(zip(self.names, self.decide(), strict=True))
 
     def observe(self, observations: Sequence[Observation]) -> None:
-        """The mapping half of :meth:`act`: update poses, walls and grid from one observation of each robot."""
+        """The mapping half of :meth:`act`: update poses, walls and grid from one observation of
+        each robot.
+        """
         self.mapper.step(*observations)
 
     def decide(self) -> list[FloatArray]:
-        """The exploring half of :meth:`act`: wheel speeds (2,) of each robot. The map stays as it is.
+        """The exploring half of :meth:`act`: wheel speeds (2,) of each robot. The map stays as it
+        is.
 
         Raises
         ------
@@ -190,7 +203,9 @@ class LimSlamTeam:
 
     @property
     def status(self) -> Level:
-        """Whether the estimate can be trusted, the worst of all robots: ``"ok"``, ``"unsure"`` or ``"lost"``."""
+        """Whether the estimate can be trusted, the worst of all robots: ``"ok"``, ``"unsure"`` or
+        ``"lost"``.
+        """
         return worst(self.mapper.statuses).level
 
     @property
@@ -217,21 +232,27 @@ class LimSlamTeam:
         return explorer(self.robot, replace(self.config, policy=fast))
 
     def _renew_in_another_frame(self) -> None:
-        """Plan anew where the frame of the map has changed. Policies that were given keep their plans.
+        """Plan anew where the frame of the map has changed. Policies that were given keep their
+        plans.
 
-        In a map that was there before, the policies still know what was settled there. Otherwise a robot whose map is
-        moved now and then would look at the same places again and again, and never end.
+        In a map that was there before, the policies still know what was settled there. Otherwise a
+        robot whose map is moved now and then would look at the same places again and again, and
+        never end.
         """
         if self._frame != self.mapper.frame and self._given_policies is None:
             if self.num_robots == 1:
                 self._left[self._map_number] = self.policies
             self._map_number = self.mapper.map_number
             kept = self._left.pop(self._map_number, None)
-            self.policies = kept or [self._policy_in_new_frame(number) for number in range(self.num_robots)]
+            self.policies = kept or [
+                self._policy_in_new_frame(number) for number in range(self.num_robots)
+            ]
         self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:
-        """Give a robot that has stopped a new policy, once the other robots have mapped enough new cells."""
+        """Give a robot that has stopped a new policy, once the other robots have mapped enough new
+        cells.
+        """
         if self._given_policies is not None or self.num_robots == 1 or self.done:
             return
         known = int(np.count_nonzero(grid.values))
@@ -245,7 +266,11 @@ class LimSlamTeam:
     def _goals_of_others(self, number: int) -> FloatArray:
         if self.mapper.is_apart:
             return np.zeros((0, 2))
-        goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]
+        goals = [
+            getattr(policy, "goal", None)
+            for other, policy in enumerate(self.policies)
+            if other != number
+        ]
         return np.array([goal for goal in goals if goal is not None]).reshape(-1, 2)
 
 
@@ -259,11 +284,13 @@ class LimSlamAgent:
     config
         Settings of every stage. The preset ``graph`` by default.
     policy
-        Chooses the actions. By default the agent explores the nearest frontier. A policy that is given serves for one
-        run.
+        Chooses the actions. By default the agent explores the nearest frontier. A policy that is
+        given serves for one run.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig | None = None, policy: Policy | None = None) -> None:
+    def __init__(
+        self, robot: RobotSpec, config: AgentConfig | None = None, policy: Policy | None = None
+    ) -> None:
         self._team = LimSlamTeam(robot, config, 1, None if policy is None else [policy])
         self.robot, self.config = robot, self._team.config
 

@@ -1,1 +1,3 @@
-"""What every series of runs needs: processes that do them, a folder that keeps them, and statistics of them."""
+"""What every series of runs needs: processes that do them, a folder that keeps them, and statistics
+of them.
+"""

@@ -29,18 +29,21 @@ class Failure:
 class Processes:
     """Processes on this machine.
 
-    A ``ProcessPoolExecutor`` would not do: it fails as a whole when one of its processes dies, it does not say which
-    job that process had, and it has no time-out. Here each worker has its own pipe and at most one job.
+    A ``ProcessPoolExecutor`` would not do: it fails as a whole when one of its processes dies, it
+    does not say which job that process had, and it has no time-out. Here each worker has its own
+    pipe and at most one job.
 
-    A job that takes longer than ``timeout``, s, has failed, and its worker is killed. The clock of a job starts when a
-    worker starts the job: the time that a new process takes to import its modules does not count.
+    A job that takes longer than ``timeout``, s, has failed, and its worker is killed. The clock of
+    a job starts when a worker starts the job: the time that a new process takes to import its
+    modules does not count.
     """
 
     workers: int
     timeout: float = math.inf
 
     def run(self, jobs: Sequence[J], work: Callable[[J], R]) -> Generator[tuple[J, R | Failure]]:
-        """Yield each job with its result as soon as the job has ended. A worker must be able to import ``work``.
+        """Yield each job with its result as soon as the job has ended. A worker must be able to
+        import ``work``.
 
         When the caller closes the generator, the workers are killed.
         """
@@ -84,7 +87,8 @@ class _Worker(Generic[J, R]):
         self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
         with _ctrl_c_ignored():
             self.process.start()
-        # While this process holds a copy of the worker's end, the death of the worker does not close the pipe.
+        # While this process holds a copy of the worker's end, the death of the worker does not
+        # close the pipe.
         theirs.close()
 
     def give(self, job: J) -> None:
@@ -94,7 +98,9 @@ class _Worker(Generic[J, R]):
             self.connection.send(job)
 
     def take(self) -> R | Failure | None:
-        """The result of the job; None if the job has only started. A worker whose time is over is killed."""
+        """The result of the job; None if the job has only started. A worker whose time is over is
+        killed.
+        """
         try:
             if self.connection.poll():
                 result: R | Failure | None = self.connection.recv()
@@ -121,9 +127,13 @@ class _Worker(Generic[J, R]):
 
 
 def _ready(busy: Sequence[_Worker[J, R]]) -> list[_Worker[J, R]]:
-    """Wait for workers that have sent something or died, or for the first worker whose time is over."""
+    """Wait for workers that have sent something or died, or for the first worker whose time is
+    over.
+    """
     patience = min(worker.deadline for worker in busy) - time.monotonic()
-    ready = wait([worker.connection for worker in busy], None if math.isinf(patience) else max(patience, 0.0))
+    ready = wait(
+        [worker.connection for worker in busy], None if math.isinf(patience) else max(patience, 0.0)
+    )
     if ready:
         return [worker for worker in busy if worker.connection in ready]
     return [worker for worker in busy if worker.deadline <= time.monotonic()]
@@ -161,7 +171,9 @@ def _serve(connection: Connection, work: Callable[[Any], Any]) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process and what it has started when its parent has died, so that a run that goes on is alone."""
+    """End this process and what it has started when its parent has died, so that a run that goes on
+    is alone.
+    """
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -169,7 +181,9 @@ def _end_with_parent() -> None:
 
 
 def _kill_group(number: int) -> None:
-    """Kill a worker and the processes that it has started. Windows has no such groups: there, only the worker."""
+    """Kill a worker and the processes that it has started. Windows has no such groups: there, only
+    the worker.
+    """
     if sys.platform == "win32":
         os.kill(number, signal.SIGTERM)
     else:
@@ -178,7 +192,9 @@ def _kill_group(number: int) -> None:
 
 @contextmanager
 def _ctrl_c_ignored() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C: it reaches all processes of a terminal, and their parent ends the workers."""
+    """Start processes that ignore Ctrl-C: it reaches all processes of a terminal, and their parent
+    ends the workers.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,8 +1,10 @@
-"""Statistics of runs: estimates with bootstrap intervals, values in pairs, and tests of differences.
+"""Statistics of runs: estimates with bootstrap intervals, values in pairs, and tests of
+differences.
 
-Intervals are percentile bootstrap intervals (Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13),
-not BCa, whose acceleration the jackknife of a median cannot give (chapter 11). Percentile intervals of a median lie
-between measured values, whatever their scale. All resampling is seeded: the same results give the same tables.
+Intervals are percentile bootstrap intervals (Efron & Tibshirani, An Introduction to the Bootstrap,
+1993, chapter 13), not BCa, whose acceleration the jackknife of a median cannot give (chapter 11).
+Percentile intervals of a median lie between measured values, whatever their scale. All resampling
+is seeded: the same results give the same tables.
 """
 
 import math
@@ -20,14 +22,19 @@ LEVEL = 0.95
 """Confidence level of all bootstrap intervals."""
 
 LEAST = 3
-"""Least number of values for an interval. The range of n values contains the true median with probability
-1 - 2 ** (1 - n), and no percentile interval is wider: below six values an interval does not reach its level.
+"""Least number of values for an interval. The range of n values contains the true median with
+probability 1 - 2 ** (1 - n), and no percentile interval is wider: below six values an interval does
+not reach its level.
 """
 
 MISSING = "\N{EN DASH}"
 """The text of a number that is not known."""
 
-_RESAMPLES, _DRAWS, _FEWEST = 2000, 4_000_000, 400  # large samples have narrow intervals and need fewer resamples
+_RESAMPLES, _DRAWS, _FEWEST = (
+    2000,
+    4_000_000,
+    400,
+)  # large samples have narrow intervals and need fewer resamples
 
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -37,7 +44,9 @@ Statistic: TypeAlias = Callable[..., FloatArray]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic of ``count`` values, and its interval, which is None where there are too few values."""
+    """A statistic of ``count`` values, and its interval, which is None where there are too few
+    values.
+    """
 
     value: float
     low: float | None
@@ -62,7 +71,9 @@ def number(value: float | None, decimals: int) -> str:
 
 
 def estimate(statistic: Statistic, values: ArrayLike) -> Estimate | None:
-    """A statistic of values (n, ...) with its interval; None if there are none. The first axis is resampled."""
+    """A statistic of values (n, ...) with its interval; None if there are none. The first axis is
+    resampled.
+    """
     array = np.asarray(values, dtype=float)
     count = len(array)
     if not count:
@@ -84,8 +95,8 @@ def median(values: ArrayLike) -> Estimate | None:
 def mean(values: ArrayLike) -> Estimate | None:
     """The mean of values (n,) with its interval; None if there are none.
 
-    The mean of times that are bounded by a longest time is the restricted mean of survival analysis: it exists although
-    not every run came to its end.
+    The mean of times that are bounded by a longest time is the restricted mean of survival
+    analysis: it exists although not every run came to its end.
     """
     return estimate(lambda drawn: drawn.mean(axis=1), np.sort(values))
 
@@ -94,8 +105,8 @@ def mean(values: ArrayLike) -> Estimate | None:
 class Pairs:
     """The values (n,) of the jobs that have one under both settings.
 
-    Of the jobs that are left out, one of both runs failed or has no value. Those that are unpaired exist under one
-    setting only.
+    Of the jobs that are left out, one of both runs failed or has no value. Those that are unpaired
+    exist under one setting only.
     """
 
     first: FloatArray
@@ -124,17 +135,22 @@ def paired(first: Mapping[_Key, float | None], second: Mapping[_Key, float | Non
         The value of each job; None if the job failed or has no value.
     """
     common = [key for key in first if key in second]
-    both = [(a, b) for a, b in ((first[key], second[key]) for key in common) if a is not None and b is not None]
+    both = [
+        (a, b)
+        for a, b in ((first[key], second[key]) for key in common)
+        if a is not None and b is not None
+    ]
     values = np.array(both, dtype=float).reshape(-1, 2)
     unpaired = len(first) + len(second) - 2 * len(common)
     return Pairs(values[:, 0], values[:, 1], len(common) - len(both), unpaired)
 
 
 def geometric_ratio(first: ArrayLike, second: ArrayLike, least: float) -> Estimate | None:
-    """The geometric mean of positive values (n,) second over first, with an interval of two standard errors.
+    """The geometric mean of positive values (n,) second over first, with an interval of two
+    standard errors.
 
-    ``least`` is the least standard deviation of the logarithm of one ratio, so that a single pair has an interval, too.
-    None if there are no pairs.
+    ``least`` is the least standard deviation of the logarithm of one ratio, so that a single pair
+    has an interval, too. None if there are no pairs.
     """
     logs = np.log(np.asarray(second, dtype=float)) - np.log(np.asarray(first, dtype=float))
     if not len(logs):
@@ -144,13 +160,17 @@ def geometric_ratio(first: ArrayLike, second: ArrayLike, least: float) -> Estima
 
 
 def two_errors(values: FloatArray, least: float) -> float:
-    """Two standard errors of the mean of values (n,), n > 0, whose standard deviation is at least ``least``."""
+    """Two standard errors of the mean of values (n,), n > 0, whose standard deviation is at least
+    ``least``.
+    """
     scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
     return 2.0 * max(scatter, least) / math.sqrt(len(values))
 
 
 def signed_rank(differences: FloatArray) -> float | None:
-    """The p-value of Wilcoxon's signed-rank test, two-sided; None if all differences (n,) are zero."""
+    """The p-value of Wilcoxon's signed-rank test, two-sided; None if all differences (n,) are
+    zero.
+    """
     if not np.any(differences != 0.0):
         return None
     # A difference of zero counts half for each side.
@@ -158,7 +178,9 @@ def signed_rank(differences: FloatArray) -> float | None:
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """P-values corrected for several tests by the method of Holm (1979). None stays None and counts as no test."""
+    """P-values corrected for several tests by the method of Holm (1979). None stays None and counts
+    as no test.
+    """
     known = sorted((value, index) for index, value in enumerate(p_values) if value is not None)
     corrected, largest = list(p_values), 0.0
     for rank, (value, index) in enumerate(known):

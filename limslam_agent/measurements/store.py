@@ -1,6 +1,8 @@
-"""A folder of results: a stamp says what all results have in common, and ``results.jsonl`` has a line for each job.
+"""A folder of results: a stamp says what all results have in common, and ``results.jsonl`` has a
+line for each job.
 
-A run can be killed at any moment. A line is valid only if it is complete, and the next run goes on after the last one.
+A run can be killed at any moment. A line is valid only if it is complete, and the next run goes on
+after the last one.
 """
 
 import json
@@ -22,14 +24,18 @@ _LOCK, _MAX_BYTES, _LARGEST = ".lock", 256_000_000, 1e100
 
 @dataclass(frozen=True)
 class BaseStamp:
-    """What all results of a folder have in common: versions of packages, and the commit of the checkout."""
+    """What all results of a folder have in common: versions of packages, and the commit of the
+    checkout.
+    """
 
     versions: dict[str, str]
     commit: str
 
     @property
     def identity(self) -> Mapping[str, Hashable]:
-        """What must be equal for results to go on, by the words that say what a folder with another one holds."""
+        """What must be equal for results to go on, by the words that say what a folder with another
+        one holds.
+        """
         return {}
 
     def changes(self, now: "BaseStamp") -> str:
@@ -40,7 +46,10 @@ class BaseStamp:
             if self.versions.get(name) != now.versions.get(name)
         ]
         return "; ".join(
-            [*changed, *([f"commit {self.commit}, now {now.commit}"] if self.commit != now.commit else [])]
+            [
+                *changed,
+                *([f"commit {self.commit}, now {now.commit}"] if self.commit != now.commit else []),
+            ]
         )
 
 
@@ -50,10 +59,11 @@ S = TypeVar("S", bound=BaseStamp)
 
 @dataclass(frozen=True)
 class Format(Generic[S, R]):
-    """A kind of results: what a folder holds, for messages, its stamp with the name of its file, and its rows.
+    """A kind of results: what a folder holds, for messages, its stamp with the name of its file,
+    and its rows.
 
-    Fields of a row with ``compare=False`` may differ when a job is repeated. ``key`` tells the job of a row from
-    others.
+    Fields of a row with ``compare=False`` may differ when a job is repeated. ``key`` tells the job
+    of a row from others.
     """
 
     name: str
@@ -64,7 +74,9 @@ class Format(Generic[S, R]):
 
 
 class Store(Generic[R]):
-    """A folder of results that only this process writes to (:func:`open_store`), and its rows by their keys."""
+    """A folder of results that only this process writes to (:func:`open_store`), and its rows by
+    their keys.
+    """
 
     def __init__(self, form: Format[Any, R], folder: Path, rows: Iterable[R]) -> None:
         self.folder, self._key = folder, form.key
@@ -87,7 +99,8 @@ def open_store(
     Raises
     ------
     ValueError
-        If another process writes to the folder, or it holds something else, or results of another version or commit.
+        If another process writes to the folder, or it holds something else, or results of another
+        version or commit.
     """
     if folder.exists() and not folder.is_dir():
         raise ValueError(f"{folder}: is not a folder")
@@ -102,9 +115,13 @@ def open_store(
                 if before.identity[what] != value:
                     raise ValueError(f"{folder}: holds results of {what}: choose another folder")
             if changed := before.changes(stamp):
-                raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
+                raise ValueError(
+                    f"{folder}: holds results of other versions ({changed}): choose another folder"
+                )
         else:
-            replace_content(folder / form.stamp_file, json.dumps(asdict(stamp), indent=2).encode() + b"\n")
+            replace_content(
+                folder / form.stamp_file, json.dumps(asdict(stamp), indent=2).encode() + b"\n"
+            )
         mend_lines(folder / RESULTS)
         clear_up(folder)
         rows = read_rows(form, folder)
@@ -134,7 +151,8 @@ def read_stamp(form: Format[S, R], folder: Path) -> S:
 def read_rows(form: Format[Any, R], path: Path) -> list[R]:
     """The rows of a folder of results, or of a file of rows.
 
-    An incomplete last line is left out. Such a line is still being written, or its process was killed.
+    An incomplete last line is left out. Such a line is still being written, or its process was
+    killed.
 
     Raises
     ------
@@ -152,7 +170,9 @@ def read_rows(form: Format[Any, R], path: Path) -> list[R]:
             table = json.loads(line, parse_float=_number, parse_int=_number, parse_constant=_number)
             rows.append(_built(form.row, table))
         except (ValueError, TypeError, RecursionError) as error:
-            raise ValueError(one_line(f"{path}, line {number}: is no row of results: {error}")) from error
+            raise ValueError(
+                one_line(f"{path}, line {number}: is no row of results: {error}")
+            ) from error
     return rows
 
 
@@ -170,7 +190,9 @@ def rows_once(form: Format[Any, R], rows: Iterable[R]) -> list[R]:
         if first != row:
             names = [each.name for each in fields(row) if each.compare]  # type: ignore[arg-type] # it is a dataclass
             different = next(name for name in names if getattr(first, name) != getattr(row, name))
-            raise ValueError(f"two different rows claim the same job ({form.key(row)}): their {different} differ")
+            raise ValueError(
+                f"two different rows claim the same job ({form.key(row)}): their {different} differ"
+            )
     return list(found.values())
 
 
@@ -193,7 +215,9 @@ def _fits(value: Any, hint: Any) -> bool:
     if get_origin(hint) in {Union, types.UnionType}:
         return any(_fits(value, each) for each in get_args(hint))
     if get_origin(hint) is dict:
-        return isinstance(value, dict) and all(_fits(each, get_args(hint)[1]) for each in value.values())
+        return isinstance(value, dict) and all(
+            _fits(each, get_args(hint)[1]) for each in value.values()
+        )
     if get_origin(hint) is list:
         return isinstance(value, list) and all(_fits(each, get_args(hint)[0]) for each in value)
     if hint is Any:
@@ -202,7 +226,9 @@ def _fits(value: Any, hint: Any) -> bool:
 
 
 def _number(text: str) -> int | float:
-    """A number of a row. Numbers that no result can be are refused: means and pages could not hold them."""
+    """A number of a row. Numbers that no result can be are refused: means and pages could not hold
+    them.
+    """
     value = int(text) if text.lstrip("-").isdecimal() else float(text)
     if not abs(value) < _LARGEST:  # NaN is not smaller either
         raise ValueError(f"{text[:20]} is no number of a result")

@@ -1,6 +1,7 @@
 """Atomic file writing: a file is either complete or does not exist.
 
-Results of many runs are lines of a file that is only appended to: a kill at any moment loses at most the last line.
+Results of many runs are lines of a file that is only appended to: a kill at any moment loses at
+most the last line.
 """
 
 import os
@@ -13,11 +14,13 @@ from limslam_agent.output.claims import OutputError, claimed, hidden
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Write a file beside its final place, and move it to ``path`` when the context ends without an error.
+    """Write a file beside its final place, and move it to ``path`` when the context ends without an
+    error.
 
-    The context gets an empty file with the same suffix. Missing folders are made. After an error nothing is left; what
-    a killed process leaves is removed by the next one that writes to the same folder. Raises an OutputError if another
-    process is writing this file, and an OSError if it cannot be written there.
+    The context gets an empty file with the same suffix. Missing folders are made. After an error
+    nothing is left; what a killed process leaves is removed by the next one that writes to the same
+    folder. Raises an OutputError if another process is writing this file, and an OSError if it
+    cannot be written there.
     """
     path = path.absolute()
     beside = hidden(path, "new", path.suffix.lower())
@@ -30,9 +33,12 @@ def atomic_write(path: Path) -> Iterator[Path]:
             beside.unlink(missing_ok=True)
 
 
-def check_target(path: Path, kind: str = "a file", endings: Collection[str] = (), *, force: bool) -> None:
-    """Refuse a file of another kind than its ending says, and one that would be replaced by accident. Raises an
-    OutputError if the path ends in none of the endings, is a folder, or is a file that only ``force`` may replace.
+def check_target(
+    path: Path, kind: str = "a file", endings: Collection[str] = (), *, force: bool
+) -> None:
+    """Refuse a file of another kind than its ending says, and one that would be replaced by
+    accident. Raises an OutputError if the path ends in none of the endings, is a folder, or is a
+    file that only ``force`` may replace.
     """
     if endings and path.suffix.lower() not in endings:
         raise OutputError(f"{path}: {kind} ends in {', '.join(endings)}")
@@ -43,18 +49,22 @@ def check_target(path: Path, kind: str = "a file", endings: Collection[str] = ()
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Append a line durably: once this function has returned, a kill cannot lose the line. Raises an OSError if the
-    line cannot be written as a whole.
+    """Append a line durably: once this function has returned, a kill cannot lose the line. Raises
+    an OSError if the line cannot be written as a whole.
     """
     with path.open("ab", buffering=0) as file:
         written = file.write(line)
-        if written != len(line):  # the disk is full: the incomplete line is removed at the next start
+        if written != len(
+            line
+        ):  # the disk is full: the incomplete line is removed at the next start
             raise OSError(None, "the disk takes no more", str(path))
         os.fsync(file.fileno())
 
 
 def mend_lines(path: Path) -> None:
-    """Remove an incomplete last line, which remains after a kill. A file that does not exist is made."""
+    """Remove an incomplete last line, which remains after a kill. A file that does not exist is
+    made.
+    """
     content = path.read_bytes() if path.is_file() else b""
     whole = content[: content.rfind(b"\n") + 1]
     if whole != content or not path.is_file():

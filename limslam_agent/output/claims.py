@@ -1,4 +1,5 @@
-"""Claims on the places of results: one process at a time writes to a place, and a kill leaves nothing half-written.
+"""Claims on the places of results: one process at a time writes to a place, and a kill leaves
+nothing half-written.
 
 Beside a place ``NAME`` there are hidden files while a process writes there:
 
@@ -40,8 +41,9 @@ def hidden(path: Path, kind: str, suffix: str = "") -> Path:
 
 @contextmanager
 def locked(lock_file: Path, refusal: str, patience: float = PATIENCE) -> Iterator[None]:
-    """Hold a lock that no other process has, and that ends with the process. Raises a ClaimedError with the message
-    ``refusal`` if another process holds it, and an OSError if there can be no file.
+    """Hold a lock that no other process has, and that ends with the process. Raises a ClaimedError
+    with the message ``refusal`` if another process holds it, and an OSError if there can be no
+    file.
     """
     lock = FileLock(lock_file)
     try:
@@ -51,8 +53,8 @@ def locked(lock_file: Path, refusal: str, patience: float = PATIENCE) -> Iterato
     try:
         yield
     finally:
-        # While the lock is held, nobody else holds one on this file, and who waits for it will notice that it is gone.
-        # Windows removes no open file; there, filelock removes it.
+        # While the lock is held, nobody else holds one on this file, and who waits for it will
+        # notice that it is gone. Windows removes no open file; there, filelock removes it.
         with suppress(OSError):
             lock_file.unlink()
         lock.release()
@@ -60,10 +62,11 @@ def locked(lock_file: Path, refusal: str, patience: float = PATIENCE) -> Iterato
 
 @contextmanager
 def claimed(path: Path) -> Iterator[None]:
-    """Be the only process that writes to a place, after clearing up what dead processes left in its folder.
+    """Be the only process that writes to a place, after clearing up what dead processes left in its
+    folder.
 
-    Missing folders are made, and removed again if they are still empty at the end. Raises a ClaimedError if another
-    process writes there, and an OSError if nothing can be written there.
+    Missing folders are made, and removed again if they are still empty at the end. Raises a
+    ClaimedError if another process writes there, and an OSError if nothing can be written there.
     """
     missing = [parent for parent in path.parents if not parent.exists()]
     try:
@@ -83,7 +86,8 @@ def claimed(path: Path) -> Iterator[None]:
 
 
 def clear_up(folder: Path) -> None:
-    """Restore or remove what dead processes left in a folder. Live processes, which hold their locks, are left alone.
+    """Restore or remove what dead processes left in a folder. Live processes, which hold their
+    locks, are left alone.
 
     What cannot be removed, for lack of permission for instance, stays.
     """
@@ -94,15 +98,16 @@ def clear_up(folder: Path) -> None:
 
 
 def repair(path: Path) -> None:
-    """Restore or remove what a dead process left of a place. Raises a ClaimedError if a live process writes there, and
-    an OSError if it cannot be done.
+    """Restore or remove what a dead process left of a place. Raises a ClaimedError if a live
+    process writes there, and an OSError if it cannot be done.
     """
     with locked(hidden(path, "lock"), f"{path}: another process is writing there", 0.0):
         recover(path)
 
 
 def recover(path: Path) -> None:
-    """Put the earlier result back if a process died before the new one was in place, and remove the rest.
+    """Put the earlier result back if a process died before the new one was in place, and remove the
+    rest.
 
     The process that calls this holds the place's lock.
     """

@@ -24,7 +24,10 @@ _DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
 _ONLINE_WIDTH = 0.9
 _START, _END = "o", "s"
 _LETTERS_PER_INCH, _LINE_HEIGHT = 11, 0.2  # of a title, and of a line of title or legend, inches
-_LETTERS_PER_INCH_OF_LEGEND, _HANDLE = 15, 0.6  # of a legend, and the line and the gap beside its text, inches
+_LETTERS_PER_INCH_OF_LEGEND, _HANDLE = (
+    15,
+    0.6,
+)  # of a legend, and the line and the gap beside its text, inches
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
@@ -38,16 +41,22 @@ class MapPicture:
     segments: FloatArray  # Walls of the map (N, 4)
     # Estimated positions (n, 2) of each robot that go with the map, of one robot at least
     estimated: Sequence[FloatArray]
-    # Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
+    # Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are
+    # unknown.
     odometry: Sequence[FloatArray] = ()
-    # True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are unknown.
+    # True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are
+    # unknown.
     true_edges: FloatArray | None = None
     true: Sequence[FloatArray] = ()
-    grid: GridView | None = None  # Occupancy grid, which is drawn behind everything. None draws no grid.
-    # Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the smoothed paths. Empty
-    # if ``estimated`` are those positions.
+    grid: GridView | None = (
+        None  # Occupancy grid, which is drawn behind everything. None draws no grid.
+    )
+    # Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the
+    # smoothed paths. Empty if ``estimated`` are those positions.
     online: Sequence[FloatArray] = ()
-    remark: str = ""  # A sentence below the title, such as why the map may be wrong. Empty if there is none.
+    remark: str = (
+        ""  # A sentence below the title, such as why the map may be wrong. Empty if there is none.
+    )
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:
@@ -66,12 +75,16 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     paint_map(axes, picture)
     # A title of the axes may be cut off: their equal scales move it after the layout.
     figure.suptitle("\n".join((picture.title, *remark)), fontsize=11, parse_math=False)
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9
+    )
     figure.savefig(path, dpi=160, facecolor="white")
 
 
 def _columns(labels: list[str], width: float) -> int:
-    """How many columns, at most 3, of a legend with these labels fit beside each other in a width in inches."""
+    """How many columns, at most 3, of a legend with these labels fit beside each other in a width
+    in inches.
+    """
     for count in range(min(len(labels), 3), 1, -1):
         parts = np.array_split([len(label) for label in labels], count)
         if sum(_HANDLE + part.max() / _LETTERS_PER_INCH_OF_LEGEND for part in parts) <= width:
@@ -86,7 +99,9 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
         _draw_grid(axes, picture.grid)
     if picture.true_edges is not None:
         edges = picture.true_edges.reshape(-1, 2, 2)
-        axes.add_collection(LineCollection(list(edges), colors=TRUTH, linewidths=5.0, capstyle="round", zorder=1))
+        axes.add_collection(
+            LineCollection(list(edges), colors=TRUTH, linewidths=5.0, capstyle="round", zorder=1)
+        )
     _draw_paths(axes, picture)
     _draw_walls(axes, picture.segments)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -95,9 +110,14 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
 
 
 def finish_errors(*plots: Axes) -> None:
-    """Give plots of errors a grid, and limit their vertical axes: the band of a lost robot would hide the curves."""
+    """Give plots of errors a grid, and limit their vertical axes: the band of a lost robot would
+    hide the curves.
+    """
     for axes in plots:
-        largest = max((float(np.nanmax(np.abs(line.get_ydata()), initial=0.0)) for line in axes.lines), default=0.0)
+        largest = max(
+            (float(np.nanmax(np.abs(line.get_ydata()), initial=0.0)) for line in axes.lines),
+            default=0.0,
+        )
         if largest > 0.0:
             low, high = axes.get_ylim()
             axes.set_ylim(max(low, -_WIDEST_BAND * largest), min(high, _WIDEST_BAND * largest))
@@ -107,8 +127,8 @@ def finish_errors(*plots: Axes) -> None:
 
 
 def path_colours(robots: int) -> list[tuple[str, str]]:
-    """Colours of each robot's estimated path and odometry. A single robot has two colours, each of several robots has
-    one.
+    """Colours of each robot's estimated path and odometry. A single robot has two colours, each of
+    several robots has one.
     """
     if robots == 1:
         return [(ESTIMATED_PATH, ODOMETRY_PATH)]
@@ -159,14 +179,28 @@ def _draw_paths(axes: Axes, picture: MapPicture) -> None:
     for (colour, _), path in zip(colours, picture.estimated, strict=True):
         axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
         axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)
-        axes.plot(*path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=8)
+        axes.plot(
+            *path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=8
+        )
 
 
 def _draw_walls(axes: Axes, segments: FloatArray) -> None:
-    """Draw walls over their end points, which are small, so that short walls are not hidden by them."""
+    """Draw walls over their end points, which are small, so that short walls are not hidden by
+    them.
+    """
     ends = segments.reshape(-1, 2)
-    axes.plot(*ends.T, linestyle="", marker="o", color=WALLS, markeredgewidth=0.0, markersize=2.6, zorder=6)
-    axes.add_collection(LineCollection(list(segments.reshape(-1, 2, 2)), colors=WALLS, linewidths=1.6, zorder=7))
+    axes.plot(
+        *ends.T,
+        linestyle="",
+        marker="o",
+        color=WALLS,
+        markeredgewidth=0.0,
+        markersize=2.6,
+        zorder=6,
+    )
+    axes.add_collection(
+        LineCollection(list(segments.reshape(-1, 2, 2)), colors=WALLS, linewidths=1.6, zorder=7)
+    )
 
 
 def _draw_grid(axes: Axes, grid: GridView) -> None:
@@ -175,21 +209,39 @@ def _draw_grid(axes: Axes, grid: GridView) -> None:
         return
     low, high = grid.low, grid.low + grid.cell * np.array(grid.values.shape[::-1])
     axes.imshow(
-        np.sign(grid.values), cmap=_GRID, vmin=-1.0, vmax=1.0, origin="lower", interpolation="nearest", zorder=0,
-        extent=(low[0], high[0], low[1], high[1]), aspect="equal",
-    )  # fmt: skip
+        np.sign(grid.values),
+        cmap=_GRID,
+        vmin=-1.0,
+        vmax=1.0,
+        origin="lower",
+        interpolation="nearest",
+        zorder=0,
+        extent=(low[0], high[0], low[1], high[1]),
+        aspect="equal",
+    )
 
 
 def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
     """Draw a scale bar of a round length below the map on the left."""
     span = float(high[0] - low[0])
-    length = max(size for size in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if size <= max(0.25 * span, 0.1))
+    length = max(
+        size
+        for size in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+        if size <= max(0.25 * span, 0.1)
+    )
     left, bottom = low + 0.015 * span
-    axes.plot([left, left + length], [bottom, bottom], color="black", linewidth=2.5, solid_capstyle="butt")
+    axes.plot(
+        [left, left + length], [bottom, bottom], color="black", linewidth=2.5, solid_capstyle="butt"
+    )
     axes.annotate(
-        f"{length:g} m", (left + 0.5 * length, bottom), xytext=(0, 3), textcoords="offset points",
-        ha="center", va="bottom", fontsize=9,
-    )  # fmt: skip
+        f"{length:g} m",
+        (left + 0.5 * length, bottom),
+        xytext=(0, 3),
+        textcoords="offset points",
+        ha="center",
+        va="bottom",
+        fontsize=9,
+    )
 
 
 def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
@@ -199,7 +251,10 @@ def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
     low, high = points.min(axis=0), points.max(axis=0)
     around = _AROUND * float((high - low).max()) + 0.25
     odometry = np.vstack([points, *picture.odometry])
-    low, high = np.maximum(odometry.min(axis=0), low - around), np.minimum(odometry.max(axis=0), high + around)
+    low, high = (
+        np.maximum(odometry.min(axis=0), low - around),
+        np.minimum(odometry.max(axis=0), high + around),
+    )
     margin = 0.04 * float((high - low).max()) + 0.05
     # The strip below the map is for the scale bar.
     return low - np.array([margin, 2.2 * margin]), high + margin

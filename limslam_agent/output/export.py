@@ -15,7 +15,8 @@ from limslam_env.geometry import FloatArray
 
 
 def write_covariances(path: Path, estimated: FloatArray, smoothed: FloatArray | None) -> None:
-    """Write covariances (t, n, 3, 3) of the estimated poses of n robots, and of the smoothed poses if there are any.
+    """Write covariances (t, n, 3, 3) of the estimated poses of n robots, and of the smoothed poses
+    if there are any.
 
     Single precision is enough for pictures and keeps the file small.
     """
@@ -31,15 +32,23 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values that JSON can hold: plain numbers and texts, and None for numbers that are not finite."""
-    items = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
+    """Values that JSON can hold: plain numbers and texts, and None for numbers that are not
+    finite.
+    """
+    items = {
+        name: value.item() if isinstance(value, np.generic) else value
+        for name, value in values.items()
+    }
     return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in items.items()
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in items.items()
     }
 
 
 class WallsAndGrid(Protocol):
-    """The final map of a run or a replay, from which every file of the map, its picture and its scores are made."""
+    """The final map of a run or a replay, from which every file of the map, its picture and its
+    scores are made.
+    """
 
     @property
     def segments(self) -> FloatArray:
@@ -63,7 +72,8 @@ def write_map(folder: Path, final: WallsAndGrid) -> None:
 def map_content(final: WallsAndGrid, frame: str = "world") -> dict[str, Any]:
     """The content of ``map.json`` in a frame, m and rad.
 
-    The segments are written with all their digits, so that a score of the file equals the score of the run.
+    The segments are written with all their digits, so that a score of the file equals the score of
+    the run.
     """
     return {
         "frame": frame,
@@ -111,7 +121,8 @@ def save_map(
     path: FloatArray | Sequence[FloatArray] | None = None,
     title: str = "map",
 ) -> None:
-    """Write ``map.json``, ``map.pgm``, ``map.yaml`` and ``map.png``. Existing files of these names are replaced.
+    """Write ``map.json``, ``map.pgm``, ``map.yaml`` and ``map.png``. Existing files of these names
+    are replaced.
 
     Parameters
     ----------
@@ -120,8 +131,8 @@ def save_map(
     snapshot
         What ``Mapper.snapshot``, ``LimSlamAgent.snapshot`` or ``LimSlamTeam.snapshot`` returned.
     path
-        Estimated positions or poses (n, 2) or (n, 3), m, that the picture shows. For several robots a list of arrays.
-        By default the picture shows only where the robots are.
+        Estimated positions or poses (n, 2) or (n, 3), m, that the picture shows. For several robots
+        a list of arrays. By default the picture shows only where the robots are.
     title
         Title above the picture.
 
@@ -142,4 +153,6 @@ def save_map(
     target.mkdir(parents=True, exist_ok=True)
     write_map(target, snapshot)
     positions = [each[:, :2] for each in paths]
-    draw_map(target / "map.png", MapPicture(title, snapshot.segments, positions, grid=snapshot.grid))
+    draw_map(
+        target / "map.png", MapPicture(title, snapshot.segments, positions, grid=snapshot.grid)
+    )

@@ -18,7 +18,9 @@ from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted, one_line
 
 MOST_WALLS = 20_000
-"""Most walls of a map that are read: more take minutes to draw and to score, and no building has so many."""
+"""Most walls of a map that are read: more take minutes to draw and to score, and no building has so
+many.
+"""
 
 MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
@@ -27,7 +29,9 @@ _KINDS = {"estimated": "est", "odometry": "odometry", "true": "true", "smoothed"
 
 
 class FolderError(ValueError):
-    """A folder is not a finished run, or a file in it cannot be read. The message says which and why."""
+    """A folder is not a finished run, or a file in it cannot be read. The message says which and
+    why.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
@@ -42,14 +46,17 @@ class FinishedRun:
     segments: FloatArray  # Walls of the map (k, 4), m
     time: FloatArray  # (n,), s
     estimated: list[FloatArray]  # Estimated poses of each robot (n, 3), m and rad
-    # Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
+    # Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are
+    # unknown.
     odometry: list[FloatArray]
     true: list[FloatArray]
     smoothed: list[FloatArray]
-    # Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
+    # Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where
+    # they are unknown.
     covariances: list[FloatArray] = field(default_factory=list)
     smoothed_covariances: list[FloatArray] = field(default_factory=list)
-    # Times of each log, s, where ``time`` is that of the first log only. Empty where all robots have the same times.
+    # Times of each log, s, where ``time`` is that of the first log only. Empty where all robots
+    # have the same times.
     times: list[FloatArray] = field(default_factory=list)
 
     def elapsed(self, number: int) -> FloatArray:
@@ -58,9 +65,14 @@ class FinishedRun:
         return np.asarray(time - time[0])
 
     def with_one_time(self) -> "FinishedRun":
-        """The run itself. Raises a FolderError if it is of two logs, of which each has times of its own."""
+        """The run itself. Raises a FolderError if it is of two logs, of which each has times of its
+        own.
+        """
         if self.times:
-            raise FolderError(f"{self.folder}: is of two logs with times of their own; use {self.folder / 'log_0'}")
+            raise FolderError(
+                f"{self.folder}: is of two logs with times of their own; use "
+                f"{self.folder / 'log_0'}"
+            )
         return self
 
     @property
@@ -85,13 +97,17 @@ class FinishedRun:
 
 
 def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
-    """A run in a few words, from the ``config`` of its ``result.json``. Missing values are left out."""
+    """A run in a few words, from the ``config`` of its ``result.json``. Missing values are left
+    out.
+    """
     noise, policy = config.get("noise"), str(config.get("policy", "frontier"))
     parts = (
         str(config["world"]),
         f"{robots} robots" if robots > 1 else "",
         # A damaged file may hold a whole number that no float can hold.
-        f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) and abs(noise) < 1e6 else "",
+        f"range noise {100.0 * noise:g} cm"
+        if isinstance(noise, int | float) and abs(noise) < 1e6
+        else "",
         " ".join(filter(None, (str(config["preset"]), config.get("ablation")))),
         "" if policy == "frontier" else policy if ".py:" in policy else policy.replace("_", " "),
         counted(config["laps"], "lap") if config.get("laps") else "",
@@ -103,8 +119,9 @@ def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
 def read_run(folder: Path) -> FinishedRun:
     """Read a folder that ``limslam run`` or ``limslam replay`` has written.
 
-    Results that a process was killed over while it replaced them are first put back in place. Raises a FolderError if
-    the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
+    Results that a process was killed over while it replaced them are first put back in place.
+    Raises a FolderError if the folder does not exist, or one of its files is missing, damaged or
+    inconsistent with the others.
     """
     _check_finished(folder)
     result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
@@ -116,27 +133,45 @@ def read_run(folder: Path) -> FinishedRun:
     counts = [len(table if has_own_times else estimated[0]) for table in estimated]
     for name, found in tables.items():
         if found and [len(table) for table in found] != counts:
-            raise FolderError(f"{folder}: the trajectories ({_KINDS[name]}) have other robots or times")
-    covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(estimated[0]))
+            raise FolderError(
+                f"{folder}: the trajectories ({_KINDS[name]}) have other robots or times"
+            )
+    covariances, smoothed_covariances = _covariances(
+        folder / COVARIANCES, len(estimated), len(estimated[0])
+    )
     return FinishedRun(
-        folder, result, segments, estimated[0][:, 0],
+        folder,
+        result,
+        segments,
+        estimated[0][:, 0],
         **{name: [table[:, 1:] for table in found] for name, found in tables.items()},
-        covariances=covariances, smoothed_covariances=smoothed_covariances,
+        covariances=covariances,
+        smoothed_covariances=smoothed_covariances,
         times=[table[:, 0] for table in estimated] if has_own_times else [],
-    )  # fmt: skip
+    )
 
 
 def _check_finished(folder: Path) -> None:
-    """Refuse a folder without a finished run, after results that a killed process has left aside are put back."""
+    """Refuse a folder without a finished run, after results that a killed process has left aside
+    are put back.
+    """
     if not folder.exists() and hidden(folder.absolute(), "old").exists():
         with suppress(OutputError, OSError):
             repair(folder.absolute())
     if not folder.is_dir():
-        raise FolderError(f"{folder}: is not a folder" if folder.exists() else f"{folder}: there is no such folder")
+        raise FolderError(
+            f"{folder}: is not a folder"
+            if folder.exists()
+            else f"{folder}: there is no such folder"
+        )
     if not (folder / RESULT_FILE).is_file():
         has_map = (folder / MAP).is_file() and (folder / PICTURE).is_file()
-        picture = f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
-        raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT_FILE}{picture}")
+        picture = (
+            f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
+        )
+        raise FolderError(
+            f"{folder}: does not hold a finished run: there is no {RESULT_FILE}{picture}"
+        )
 
 
 def _read_json(path: Path) -> dict[str, Any]:
@@ -158,12 +193,14 @@ def part_of(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def read_walls(path: Path) -> FloatArray:
-    """The walls (k, 4), m, of a ``map.json``. Raises a FolderError if the file cannot be read or has no walls in that
-    form.
+    """The walls (k, 4), m, of a ``map.json``. Raises a FolderError if the file cannot be read or
+    has no walls in that form.
     """
     listed = _read_json(path).get("segments")
     try:
-        segments = np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
+        segments = (
+            np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
+        )
     except (TypeError, ValueError, OverflowError):
         segments = None
     if segments is None or not np.isfinite(segments).all():
@@ -176,15 +213,21 @@ def read_walls(path: Path) -> FloatArray:
 def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
     """Tables (n, 4) of time, x, y and heading for each robot. Empty if there is no file."""
     single = folder / f"trajectory_{kind}.tum"
-    several = takewhile(Path.is_file, (folder / f"trajectory_{kind}_{number}.tum" for number in count()))
+    several = takewhile(
+        Path.is_file, (folder / f"trajectory_{kind}_{number}.tum" for number in count())
+    )
     try:
-        return [np.column_stack(read_tum(path)) for path in ([single] if single.is_file() else several)]
+        return [
+            np.column_stack(read_tum(path)) for path in ([single] if single.is_file() else several)
+        ]
     except TrajectoryError as error:
         raise FolderError(str(error)) from error
 
 
 def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Covariances (n, 3, 3) of each robot's estimated and smoothed poses. Earlier versions wrote no such file."""
+    """Covariances (n, 3, 3) of each robot's estimated and smoothed poses. Earlier versions wrote no
+    such file.
+    """
     if not path.is_file():
         return [], []
     names = ("estimated", "smoothed")
@@ -193,7 +236,9 @@ def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray],
         kinds = [np.asarray(arrays[name], dtype=float) for name in names if name in arrays]
     except (OSError, ValueError) as error:
         raise FolderError(f"{path}: is damaged: {error}") from error
-    if not kinds or any(kind.shape != (steps, robots, 3, 3) or not np.isfinite(kind).all() for kind in kinds):
+    if not kinds or any(
+        kind.shape != (steps, robots, 3, 3) or not np.isfinite(kind).all() for kind in kinds
+    ):
         raise FolderError(f"{path}: its covariances do not fit the trajectories")
     estimated, smoothed = ([*kind.swapaxes(0, 1)] for kind in (*kinds, np.empty((0, 0, 3, 3)))[:2])
     return estimated, smoothed

@@ -9,7 +9,9 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 
 
 def commit() -> str:
-    """The commit of the checkout, with ``-dirty`` if a file has been changed; ``unknown`` without a repository."""
+    """The commit of the checkout, with ``-dirty`` if a file has been changed; ``unknown`` without a
+    repository.
+    """
     try:
         top = _git("rev-parse", "--show-toplevel")
         # An unpacked archive may lie inside another project's repository.
@@ -24,7 +26,16 @@ def commit() -> str:
 
 def versions() -> dict[str, str]:
     """Versions of everything that a result depends on."""
-    packages = ("limslam", "gymnasium", "pymunk", "numpy", "scipy", "numba", "filterpy", "opencv-python-headless")
+    packages = (
+        "limslam",
+        "gymnasium",
+        "pymunk",
+        "numpy",
+        "scipy",
+        "numba",
+        "filterpy",
+        "opencv-python-headless",
+    )
     return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
 
 

@@ -21,10 +21,12 @@ class NewFolder:
 
 @contextmanager
 def new_folder(target: Path, *, force: bool = False, numbered: bool = False) -> Iterator[NewFolder]:
-    """A folder to write to, which is moved to its final place only when everything has been written.
+    """A folder to write to, which is moved to its final place only when everything has been
+    written.
 
-    The place belongs to this process from the start. A process that is killed leaves the earlier results there, or
-    the new ones, and hidden files that are removed when the next process writes to the same parent folder.
+    The place belongs to this process from the start. A process that is killed leaves the earlier
+    results there, or the new ones, and hidden files that are removed when the next process writes
+    to the same parent folder.
 
     Parameters
     ----------
@@ -33,8 +35,8 @@ def new_folder(target: Path, *, force: bool = False, numbered: bool = False) -> 
     force
         Replace the results of an earlier run there.
     numbered
-        If the place is taken, by results or by another process, choose the first free place of ``target-2``,
-        ``target-3`` and so on.
+        If the place is taken, by results or by another process, choose the first free place of
+        ``target-2``, ``target-3`` and so on.
 
     Raises
     ------
@@ -91,20 +93,28 @@ def _check_target(target: Path, *, force: bool) -> None:
         if not (target / RESULT_FILE).is_file():
             raise OutputError(f"{target}: is not empty and does not hold the results of a run")
         if not force:
-            raise OutputError(f"{target}: already holds the results of a run; --force replaces them")
+            raise OutputError(
+                f"{target}: already holds the results of a run; --force replaces them"
+            )
     elif target.exists() or target.is_symlink():
         raise OutputError(f"{target}: is not a folder")
 
 
 def _put_in_place(beside: Path, target: Path, *, force: bool) -> None:
-    """Move finished results to their place, unless something else has come there that may not be replaced."""
+    """Move finished results to their place, unless something else has come there that may not be
+    replaced.
+    """
     place = target.absolute()
     try:
         _check_target(target, force=force)
     except OutputError as error:
-        spare = next(path for n in count(2) if not (path := place.with_name(f"{place.name}-{n}")).exists())
+        spare = next(
+            path for n in count(2) if not (path := place.with_name(f"{place.name}-{n}")).exists()
+        )
         beside.rename(spare)
-        raise OutputError(f"{error}; these results are in {target.with_name(spare.name)}") from error
+        raise OutputError(
+            f"{error}; these results are in {target.with_name(spare.name)}"
+        ) from error
     if place.is_dir():
         place.rename(hidden(place, "old"))
     beside.rename(place)

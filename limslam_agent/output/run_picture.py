@@ -1,4 +1,6 @@
-"""Draws finished runs on a sheet: one with its map, its errors and what is said of it, or several beside each other."""
+"""Draws finished runs on a sheet: one with its map, its errors and what is said of it, or several
+beside each other.
+"""
 
 import math
 import textwrap
@@ -22,19 +24,31 @@ MOST_RUNS = 8
 """Most runs that one sheet can show."""
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4f24", "#4d4d4d")
-"""A colour for each run. People with any kind of colour blindness can tell them apart (Okabe and Ito, 2008)."""
+"""A colour for each run. People with any kind of colour blindness can tell them apart (Okabe and
+Ito, 2008).
+"""
 
 TABLE = (
-    ("exploration_time_s", "exploration time, s"), ("path_m", "path, m"), ("coverage_true", "coverage"),
-    ("collisions", "collisions"), ("ate_m", "position error online, m"),
-    ("ate_smoothed_m", "position error smoothed, m"), ("odometry_ate_m", "position error of odometry, m"),
-    ("heading_rmse_deg", "heading error online, deg"), ("heading_smoothed_rmse_deg", "heading error smoothed, deg"),
-    ("anees", "NEES / 3 online"), ("anees_smoothed", "NEES / 3 smoothed"), ("wall_recall", "wall recall"),
-    ("wall_f1_aligned", "wall F1 aligned"), ("wall_f1_aligned_5cm", "wall F1 aligned at 5 cm"),
-    ("spurious_walls", "spurious walls"), ("relation_error_m", "relation error online, m"),
+    ("exploration_time_s", "exploration time, s"),
+    ("path_m", "path, m"),
+    ("coverage_true", "coverage"),
+    ("collisions", "collisions"),
+    ("ate_m", "position error online, m"),
+    ("ate_smoothed_m", "position error smoothed, m"),
+    ("odometry_ate_m", "position error of odometry, m"),
+    ("heading_rmse_deg", "heading error online, deg"),
+    ("heading_smoothed_rmse_deg", "heading error smoothed, deg"),
+    ("anees", "NEES / 3 online"),
+    ("anees_smoothed", "NEES / 3 smoothed"),
+    ("wall_recall", "wall recall"),
+    ("wall_f1_aligned", "wall F1 aligned"),
+    ("wall_f1_aligned_5cm", "wall F1 aligned at 5 cm"),
+    ("spurious_walls", "spurious walls"),
+    ("relation_error_m", "relation error online, m"),
     ("smoothed_relation_error_m", "relation error smoothed, m"),
-    ("smoothed_relation_error_deg", "relation error smoothed, deg"), ("status", "status"),
-)  # fmt: skip
+    ("smoothed_relation_error_deg", "relation error smoothed, deg"),
+    ("status", "status"),
+)
 """Metrics that are compared, and how they are called."""
 
 _COLUMNS = 4
@@ -45,7 +59,9 @@ _DOTS: LineStyleType = (0, (1, 1))
 
 
 def names_of(runs: Sequence[FinishedRun]) -> list[str]:
-    """A short name of each run: the settings in which it differs from the others, else its folder."""
+    """A short name of each run: the settings in which it differs from the others, else its
+    folder.
+    """
     parts = [run.title.split(", ") for run in runs]
     common = set.intersection(*map(set, parts))
     names = [", ".join(part for part in each if part not in common) for each in parts]
@@ -76,16 +92,24 @@ def sheet_size(count: int) -> tuple[float, float]:
     return max(4.2 * columns, 8.0), 4.4 * math.ceil(count / columns) + 4.0
 
 
-def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None) -> None:
-    """Draw a finished run into an empty figure with a constrained layout: its map, with the walls of the world (k, 4),
-    m, if they are known, its errors over time, and lines of text about it.
+def draw_run(
+    figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None
+) -> None:
+    """Draw a finished run into an empty figure with a constrained layout: its map, with the walls
+    of the world (k, 4), m, if they are known, its errors over time, and lines of text about it.
     """
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
     picture = _map_of(run, true_edges, [poses[:, :2] for poses in run.odometry])
     paint_map(figure.add_subplot(grid[:, 0]), picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
-    figure.legend(handles=handles, loc="outside lower left", ncols=min(len(handles), 5), frameon=False, fontsize=8.5)
+    figure.legend(
+        handles=handles,
+        loc="outside lower left",
+        ncols=min(len(handles), 5),
+        frameon=False,
+        fontsize=8.5,
+    )
     upper = figure.add_subplot(grid[0, 1])
     lower = figure.add_subplot(grid[1, 1], sharex=upper)
     colours = [estimated for estimated, _ in path_colours(len(run.estimated))]
@@ -96,7 +120,15 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
     _plot((upper, lower), run, run.smoothed, reference, colours, "smoothed")
     if run.true:
         by_odometry = [odometry for _, odometry in path_colours(len(run.estimated))]
-        _plot((upper, lower), run, run.odometry, reference, by_odometry, "odometry alone", style=_DASHES)
+        _plot(
+            (upper, lower),
+            run,
+            run.odometry,
+            reference,
+            by_odometry,
+            "odometry alone",
+            style=_DASHES,
+        )
         _shade((upper, lower), run, run.covariances, colours, 0.15, "2 sigma, online")
         _shade((upper, lower), run, run.smoothed_covariances, colours, 0.3, "2 sigma, smoothed")
     _finish(upper, lower, compared)
@@ -104,31 +136,57 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
     upper.set_xlabel("")
     if upper.lines:
         # Between the plots, where it hides no curve.
-        upper.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
+        upper.legend(
+            fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3
+        )
     else:
-        upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
+        upper.text(
+            0.5,
+            0.5,
+            "neither truth nor odometry is known",
+            ha="center",
+            transform=upper.transAxes,
+            fontsize=9,
+        )
     words = figure.add_subplot(grid[2, 1])
     words.set_axis_off()
-    told = [part for line in lines for part in textwrap.wrap(line, _LETTERS, subsequent_indent=12 * " ") or [""]]
+    told = [
+        part
+        for line in lines
+        for part in textwrap.wrap(line, _LETTERS, subsequent_indent=12 * " ") or [""]
+    ]
     words.text(
-        0.0, 1.0, "\n".join(told), va="top", fontsize=8, family="monospace", transform=words.transAxes, parse_math=False
+        0.0,
+        1.0,
+        "\n".join(told),
+        va="top",
+        fontsize=8,
+        family="monospace",
+        transform=words.transAxes,
+        parse_math=False,
     )
 
 
-def draw_comparison(figure: Figure, runs: Sequence[FinishedRun], edges: Sequence[FloatArray | None]) -> None:
-    """Draw at most ``MOST_RUNS`` runs into an empty figure with a constrained layout, with the walls (k, 4), m, of the
-    world of each run where they are known.
+def draw_comparison(
+    figure: Figure, runs: Sequence[FinishedRun], edges: Sequence[FloatArray | None]
+) -> None:
+    """Draw at most ``MOST_RUNS`` runs into an empty figure with a constrained layout, with the
+    walls (k, 4), m, of the world of each run where they are known.
     """
     columns = min(len(runs), _COLUMNS)
     rows = math.ceil(len(runs) / columns)
     has_truth = all(run.true for run in runs)
-    grid = figure.add_gridspec(rows + has_truth, 2 * columns, height_ratios=[1.0] * rows + [0.75] * has_truth)
+    grid = figure.add_gridspec(
+        rows + has_truth, 2 * columns, height_ratios=[1.0] * rows + [0.75] * has_truth
+    )
     pictures = [_map_of(run, walls) for run, walls in zip(runs, edges, strict=True)]
     for number, (picture, name) in enumerate(zip(pictures, names_of(runs), strict=True)):
         column = 2 * (number % columns)
         axes = figure.add_subplot(grid[number // columns, column : column + 2])
         paint_map(axes, picture)
-        axes.set_title(name, fontsize=11, color=COLOURS[number], fontweight="bold", parse_math=False)
+        axes.set_title(
+            name, fontsize=11, color=COLOURS[number], fontweight="bold", parse_math=False
+        )
     if has_truth:
         left, right = figure.add_subplot(grid[-1, :columns]), figure.add_subplot(grid[-1, columns:])
         for run, name, colour in zip(runs, names_of(runs), COLOURS, strict=False):
@@ -139,36 +197,72 @@ def draw_comparison(figure: Figure, runs: Sequence[FinishedRun], edges: Sequence
         # Above the plot, where it hides no curve.
         left.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     handles = legend(max(pictures, key=lambda picture: len(legend(picture))))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 4), frameon=False, fontsize=9)
+    figure.legend(
+        handles=handles,
+        loc="outside lower center",
+        ncols=min(len(handles), 4),
+        frameon=False,
+        fontsize=9,
+    )
     figure.suptitle(common_title(runs), fontsize=12, parse_math=False)
 
 
-def _map_of(run: FinishedRun, edges: FloatArray | None, odometry: Sequence[FloatArray] = ()) -> MapPicture:
-    online, true, smoothed = ([poses[:, :2] for poses in kind] for kind in (run.estimated, run.true, run.smoothed))
+def _map_of(
+    run: FinishedRun, edges: FloatArray | None, odometry: Sequence[FloatArray] = ()
+) -> MapPicture:
+    online, true, smoothed = (
+        [poses[:, :2] for poses in kind] for kind in (run.estimated, run.true, run.smoothed)
+    )
     return MapPicture(
-        run.title, run.segments, smoothed or online, odometry, edges, true, online=online if smoothed else ()
+        run.title,
+        run.segments,
+        smoothed or online,
+        odometry,
+        edges,
+        true,
+        online=online if smoothed else (),
     )
 
 
 def _plot(
-    plots: tuple[Axes, Axes], run: FinishedRun, each: Sequence[FloatArray], reference: Sequence[FloatArray],
-    colours: Sequence[str], name: str, *, style: LineStyleType = "-",
-) -> None:  # fmt: skip
-    """Plot the distance and the difference of heading between each robot's poses (n, 3) and the reference's."""
+    plots: tuple[Axes, Axes],
+    run: FinishedRun,
+    each: Sequence[FloatArray],
+    reference: Sequence[FloatArray],
+    colours: Sequence[str],
+    name: str,
+    *,
+    style: LineStyleType = "-",
+) -> None:
+    """Plot the distance and the difference of heading between each robot's poses (n, 3) and the
+    reference's.
+    """
     for number, (poses, other) in enumerate(zip(each, reference, strict=False)):
         turned = np.degrees(wrap_angle(poses[:, 2] - other[:, 2]))
         # Where angles pass 180 degrees, no line is drawn across the plot.
         turned = np.where(np.abs(np.diff(turned, prepend=turned[:1])) > 180.0, np.nan, turned)
         label = name if number == 0 else None
         for axes, off in zip(plots, (np.hypot(*(poses - other)[:, :2].T), turned), strict=True):
-            axes.plot(run.elapsed(number), off, color=colours[number], linestyle=style, linewidth=1.2, label=label)
+            axes.plot(
+                run.elapsed(number),
+                off,
+                color=colours[number],
+                linestyle=style,
+                linewidth=1.2,
+                label=label,
+            )
 
 
 def _shade(
-    plots: tuple[Axes, Axes], run: FinishedRun, each: Sequence[FloatArray], colours: Sequence[str], alpha: float,
+    plots: tuple[Axes, Axes],
+    run: FinishedRun,
+    each: Sequence[FloatArray],
+    colours: Sequence[str],
+    alpha: float,
     name: str | None = None,
-) -> None:  # fmt: skip
-    """Shade what the estimate says of its own error: two standard deviations, by covariances (n, 3, 3) of each robot.
+) -> None:
+    """Shade what the estimate says of its own error: two standard deviations, by covariances (n, 3,
+    3) of each robot.
 
     An estimate that knows its error stays inside of its band most of the time.
     """

@@ -21,12 +21,34 @@ WALL, FRONTIER, GLOW = (205, 48, 66), (20, 150, 140), (240, 170, 30)
 INK, TEXT, FAINT, RULE = (36, 43, 55), (86, 94, 108), (150, 157, 168), (208, 213, 220)
 LEFT, RIGHT, BEAM = (222, 126, 20), (150, 62, 168), (226, 138, 40)
 PEAKS = ((36, 178, 205), (240, 170, 30), (238, 96, 142), (120, 200, 90), (190, 150, 250))
-ROBOTS = ((38, 103, 178), (40, 140, 92), (132, 84, 170), (176, 88, 60), (20, 128, 142), (168, 62, 110))
+ROBOTS = (
+    (38, 103, 178),
+    (40, 140, 92),
+    (132, 84, 170),
+    (176, 88, 60),
+    (20, 128, 142),
+    (168, 62, 110),
+)
 HEAT = ((245, 246, 248), (188, 205, 226), (92, 128, 178), (52, 60, 120), (38, 20, 62))
 PALETTE = (
-    PAPER, UNKNOWN, FREE, OCCUPIED, WALL, FRONTIER, GLOW, INK, TEXT, FAINT, RULE, LEFT, RIGHT, BEAM,
-    *PEAKS, *ROBOTS, *HEAT,
-)  # fmt: skip
+    PAPER,
+    UNKNOWN,
+    FREE,
+    OCCUPIED,
+    WALL,
+    FRONTIER,
+    GLOW,
+    INK,
+    TEXT,
+    FAINT,
+    RULE,
+    LEFT,
+    RIGHT,
+    BEAM,
+    *PEAKS,
+    *ROBOTS,
+    *HEAT,
+)
 """All colours, for formats with a limited number of colours."""
 
 
@@ -67,10 +89,11 @@ def write(
     bold: bool = False,
     anchor: Anchor = "left",
 ) -> None:
-    """Write a line of text into an RGB image (height, width, 3), in place. Text outside of the image is cut off.
+    """Write a line of text into an RGB image (height, width, 3), in place. Text outside of the
+    image is cut off.
 
-    ``place`` is the pixel (x, y) of the line's left end, middle or right end, as ``anchor`` says, on the base line. The
-    size of the letters is in pixels.
+    ``place`` is the pixel (x, y) of the line's left end, middle or right end, as ``anchor`` says,
+    on the base line. The size of the letters is in pixels.
     """
     mask, above = _mask(words, size, bold)
     height, width = mask.shape
@@ -80,12 +103,16 @@ def write(
     columns = slice(max(left, 0), max(min(left + width, image.shape[1]), 0))
     if rows.start >= rows.stop or columns.start >= columns.stop:
         return
-    cover = mask[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left, None]
+    cover = mask[
+        rows.start - top : rows.stop - top, columns.start - left : columns.stop - left, None
+    ]
     image[rows, columns] = blended(image[rows, columns], colour, cover)
 
 
 def blended(pixels: Image, colour: Colour, cover: Image) -> Image:
-    """Pixels (..., 3) blended with a colour. ``cover`` (..., 1) is the strength of the colour, 0 to 255."""
+    """Pixels (..., 3) blended with a colour. ``cover`` (..., 1) is the strength of the colour, 0 to
+    255.
+    """
     old = pixels.astype(np.int16)
     step = (np.array(colour, dtype=np.int16) - old).astype(np.int32) * cover
     # One multiplication and one shift are faster than a division by 255.
@@ -119,7 +146,9 @@ def _font(size: int, bold: bool) -> ImageFont.FreeTypeFont:
 
 @functools.lru_cache(maxsize=2048)
 def _mask(words: str, size: int, bold: bool) -> tuple[Image, int]:
-    """Share of each pixel that the text covers, 0 to 255, and the number of rows above the base line."""
+    """Share of each pixel that the text covers, 0 to 255, and the number of rows above the base
+    line.
+    """
     font = _font(size, bold)
     above, below = font.getmetrics()
     sheet = Pictures.new("L", (width_of(words, size, bold=bold) + 2, above + below))

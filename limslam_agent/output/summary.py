@@ -1,4 +1,6 @@
-"""The figures of a finished run or replay for its ``result.json``, and in a few lines of text for the command line."""
+"""The figures of a finished run or replay for its ``result.json``, and in a few lines of text for
+the command line.
+"""
 
 import math
 import sys
@@ -13,7 +15,9 @@ from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted
 
 FEW_POINTS = 10.0
-"""With fewer readings of walls in a metre of driving, many paths were wrong in each kind of building."""
+"""With fewer readings of walls in a metre of driving, many paths were wrong in each kind of
+building.
+"""
 _SENSOR = {
     "delay_s": ("ranges are {:.2f} s later than the wheels", 1.0),
     "bias_m": ("ranges are {:.1f} cm too long", 100.0),
@@ -25,24 +29,38 @@ _SIZES = {"left": "left wheel", "right": "right wheel", "axle": "axle"}
 
 
 def calibration_record(calibration: Sequence[float], covariance: FloatArray) -> dict[str, float]:
-    """For a ``result.json``: relative errors of left wheel, right wheel and axle, and their standard deviations."""
+    """For a ``result.json``: relative errors of left wheel, right wheel and axle, and their
+    standard deviations.
+    """
     pairs = zip(_SIZES, calibration, np.sqrt(np.diag(covariance)), strict=True)
-    return {name: number for part, error, std in pairs for name, number in ((part, error), (f"{part}_std", float(std)))}
+    return {
+        name: number
+        for part, error, std in pairs
+        for name, number in ((part, error), (f"{part}_std", float(std)))
+    }
 
 
 def turn_records(turns: FloatArray | None) -> list[dict[str, float]]:
-    """For a ``result.json``: by what each beam is turned to the left, with its standard deviation (n_beams, 2), rad."""
+    """For a ``result.json``: by what each beam is turned to the left, with its standard deviation
+    (n_beams, 2), rad.
+    """
     rows = () if turns is None else np.degrees(turns).tolist()
     return [{"deg": turn, "std_deg": std} for turn, std in rows]
 
 
-def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]) -> dict[str, Any]:
+def record_of(
+    time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]
+) -> dict[str, Any]:
     """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
 
-    The driven distance is measured along ``paths``, poses (n, 3) of each robot: the true ones where they are known.
+    The driven distance is measured along ``paths``, poses (n, 3) of each robot: the true ones where
+    they are known.
     """
     driven = [float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) for poses in paths]
-    ends = [[float(x), float(y), float(np.degrees(heading))] for x, y, heading in (poses[-1] for poses in odometry)]
+    ends = [
+        [float(x), float(y), float(np.degrees(heading))]
+        for x, y, heading in (poses[-1] for poses in odometry)
+    ]
     return {
         "steps": len(time),
         "duration_s": float(np.ptp(time)),
@@ -52,20 +70,30 @@ def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[
 
 
 def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What happened to a robot that was lost, with the time since the first of all steps (n,), s."""
-    return [{**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])} for each in places]
+    """What happened to a robot that was lost, with the time since the first of all steps (n,),
+    s.
+    """
+    return [
+        {**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])}
+        for each in places
+    ]
 
 
 def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[str, float]:
-    """Values for ``cost`` in a ``result.json``, from the time that passed in the run or in its log, s, the time that
-    computing took, s, and the times that each named part of a step took (n,), ms.
+    """Values for ``cost`` in a ``result.json``, from the time that passed in the run or in its log,
+    s, the time that computing took, s, and the times that each named part of a step took (n,), ms.
     """
     parts = {
         f"{name}_ms_{label}": float(np.percentile(values, share))
         for name, values in step_ms.items()
         for label, share in (("median", 50.0), ("p99", 99.0))
     }
-    return {**parts, "speed_x_real_time": duration / wall_clock, "wall_clock_s": wall_clock, **_memory()}
+    return {
+        **parts,
+        "speed_x_real_time": duration / wall_clock,
+        "wall_clock_s": wall_clock,
+        **_memory(),
+    }
 
 
 def _memory() -> dict[str, float]:
@@ -83,7 +111,10 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
     config, record = part_of(result, "config"), part_of(result, "record")
     agent = part_of(config, "agent")
-    preset, beams = config.get("preset") or agent.get("preset"), part_of(config, "robot").get("beams")
+    preset, beams = (
+        config.get("preset") or agent.get("preset"),
+        part_of(config, "robot").get("beams"),
+    )
     noise = part_of(agent, "noise").get("range_std")
     method = [
         " ".join(str(each) for each in (preset, config.get("ablation")) if each),
@@ -92,12 +123,18 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     ]
     lines = [f"method      {', '.join(filter(None, method))}"] if any(method) else []
     each = " by each robot" if _has(config, "robots") and config["robots"] > 1 else ""
-    lines += _told("record", "{steps} steps, {duration_s:.1f} s, {driven_m:.1f} m driven" + each, record)
+    lines += _told(
+        "record", "{steps} steps, {duration_s:.1f} s, {driven_m:.1f} m driven" + each, record
+    )
     lines += _places(record.get("places"))
     found = record.get("calibration")
-    lines += [_calibration_line(sizes) for sizes in found if sizes] if isinstance(found, list) else []
+    lines += (
+        [_calibration_line(sizes) for sizes in found if sizes] if isinstance(found, list) else []
+    )
     if part_of(result, "metrics").get("status") != "lost":
-        lines += _sensor_line(record.get("sensor"), beams) + _turned_beams(record.get("beam_turns"), beams)
+        lines += _sensor_line(record.get("sensor"), beams) + _turned_beams(
+            record.get("beam_turns"), beams
+        )
     return lines
 
 
@@ -125,10 +162,13 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
 
 def _calibration_line(found: Any) -> str:
     """A robot's odometry calibration, as :func:`calibration_record` has it."""
-    if not isinstance(found, dict) or not _has(found, *(f"{part}{end}" for part in _SIZES for end in ("", "_std"))):
+    if not isinstance(found, dict) or not _has(
+        found, *(f"{part}{end}" for part in _SIZES for end in ("", "_std"))
+    ):
         return "calibrated  by unknown sizes"
     sizes = [
-        f"{name} {100.0 * found[part]:+.2f} +- {100.0 * found[f'{part}_std']:.2f} %" for part, name in _SIZES.items()
+        f"{name} {100.0 * found[part]:+.2f} +- {100.0 * found[f'{part}_std']:.2f} %"
+        for part, name in _SIZES.items()
     ]
     return f"calibrated  {', '.join(sizes)}"
 
@@ -137,20 +177,32 @@ def _sensor_line(found: Any, beams: Any) -> list[str]:
     """What was found about a sensor that is not as specified, as ``RangeSensor.found`` has it."""
     if not isinstance(found, dict):
         return []
-    words = [text.format(scale * found[name]) for name, (text, scale) in _SENSOR.items() if _has(found, name)]
+    words = [
+        text.format(scale * found[name])
+        for name, (text, scale) in _SENSOR.items()
+        if _has(found, name)
+    ]
     broken: Any = found.get("broken_beams")
     known = beams if isinstance(beams, list | tuple) else ()
     for number, beam in enumerate(known) if isinstance(broken, list) else ():
         if number in broken and isinstance(beam, dict) and _has(beam, "angle"):
-            words += [f"the beam at {math.degrees(beam['angle']):.4g} deg always reads the same and is left out"]
+            degrees = math.degrees(beam["angle"])
+            words += [f"the beam at {degrees:.4g} deg always reads the same and is left out"]
     return [f"sensor      {', '.join(words)}"] if words else []
 
 
 def _turned_beams(turns: Any, beams: Any) -> list[str]:
-    """Which of a robot's beams are turned against its settings by more than chance, as :func:`turn_records` has it."""
-    known = zip(beams, turns, strict=False) if isinstance(turns, list) and isinstance(beams, list | tuple) else ()
+    """Which of a robot's beams are turned against its settings by more than chance, as
+    :func:`turn_records` has it.
+    """
+    known = (
+        zip(beams, turns, strict=False)
+        if isinstance(turns, list) and isinstance(beams, list | tuple)
+        else ()
+    )
     sure = [
-        f"the beam at {math.degrees(beam['angle']):.4g} deg by {abs(turn['deg']):.1f} +- {turn['std_deg']:.1f} deg"
+        f"the beam at {math.degrees(beam['angle']):.4g} deg by {abs(turn['deg']):.1f} +- "
+        f"{turn['std_deg']:.1f} deg"
         f" to the {'left' if turn['deg'] > 0.0 else 'right'}"
         for beam, turn in known
         if isinstance(beam, dict) and _has(beam, "angle") and isinstance(turn, dict)
@@ -161,34 +213,60 @@ def _turned_beams(turns: Any, beams: Any) -> list[str]:
 
 def _numbers(pose: Any) -> list[float] | None:
     """A pose as three numbers; None if it is something else."""
-    is_pose = isinstance(pose, list) and len(pose) == 3 and all(isinstance(value, int | float) for value in pose)
+    is_pose = (
+        isinstance(pose, list)
+        and len(pose) == 3
+        and all(isinstance(value, int | float) for value in pose)
+    )
     return pose if is_pose else None
 
 
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:
-    """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``. Missing values are left out."""
+    """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``. Missing
+    values are left out.
+    """
     lines = [f"stopped     {metrics.get('stop_reason', 'for an unknown reason')}"]
     lines += _told("", "after {exploration_time_s:.1f} s and {path_m:.1f} m", metrics)
     collisions = "collision" if metrics.get("collisions") == 1 else "collisions"
-    lines += _told("covered", "{coverage_true:.1%} of what can be seen, {collisions:g} " + collisions, metrics)
+    lines += _told(
+        "covered", "{coverage_true:.1%} of what can be seen, {collisions:g} " + collisions, metrics
+    )
     lines += _status(metrics) + _errors(metrics)
-    if limit := _told("limit", "{limit_ate_m:.3f} m rms, the least-squares solution with known associations", metrics):
+    if limit := _told(
+        "limit",
+        "{limit_ate_m:.3f} m rms, the least-squares solution with known associations",
+        metrics,
+    ):
         smoothed = _with(", smoothed is {smoothed_over_limit:.1f} times that", metrics)
-        lines += limit + _told("", "the error is {ate_over_limit:.1f} times that" + smoothed, metrics)
+        lines += limit + _told(
+            "", "the error is {ate_over_limit:.1f} times that" + smoothed, metrics
+        )
     before = _with("; {wall_f1_aligned_online:.2f} before smoothing", metrics)
-    lines += _told("map", "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned" + before, metrics)
+    lines += _told(
+        "map", "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned" + before, metrics
+    )
     return lines + _told("speed", "{speed_x_real_time:.0f} x real time", cost)
 
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
-    """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
+    """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left
+    out.
+    """
     lines = _status(metrics) + _smoothed_status(metrics) + _reversing(metrics) + _errors(metrics)
-    lines += _told("", "the filter was lost after {online_graph_from_s:.0f} s; the online graph went on", metrics)
+    lines += _told(
+        "",
+        "the filter was lost after {online_graph_from_s:.0f} s; the online graph went on",
+        metrics,
+    )
     trajectories = {
-        "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs",
-        "": "filter, while driving" if metrics.get("online_graph_from_s") is None else "while driving",
-        "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
-    }  # fmt: skip
+        "smoothed_": "smoothed, at the end",
+        "smoothed_between_": "between the logs",
+        "": "filter, while driving"
+        if metrics.get("online_graph_from_s") is None
+        else "while driving",
+        "odometry_": "odometry, corrected",
+        "raw_odometry_": "odometry, raw",
+    }
     texts = {
         prefix: _relation_text(metrics, prefix)
         for prefix in trajectories
@@ -203,12 +281,24 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:
     """The status at the end, and how long the estimate had each status if there were several."""
-    level, reason, note = metrics.get("status"), metrics.get("status_reason"), metrics.get("status_note")
+    level, reason, note = (
+        metrics.get("status"),
+        metrics.get("status_reason"),
+        metrics.get("status_note"),
+    )
     if not isinstance(level, str):
         return []
     why = f": {reason}" if reason else ""
-    names = [name for name in ("ok", "unsure", "lost") if _has(metrics, f"{name}_s") and metrics[f"{name}_s"] > 0.0]
-    times = ", ".join(f"{name} for {metrics[f'{name}_s']:.0f} s" for name in names) if names not in ([], ["ok"]) else ""
+    names = [
+        name
+        for name in ("ok", "unsure", "lost")
+        if _has(metrics, f"{name}_s") and metrics[f"{name}_s"] > 0.0
+    ]
+    times = (
+        ", ".join(f"{name} for {metrics[f'{name}_s']:.0f} s" for name in names)
+        if names not in ([], ["ok"])
+        else ""
+    )
     if isinstance(note, str):
         # A smoothed path can be right where the filter was lost.
         return [f"status      {level}{why}{f'; {note}' if note else ''}"]
@@ -226,13 +316,18 @@ def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
         return []
     lines = [f"            {level} at the end{f': {reason}' if reason else ''}"]
     few = f"with fewer than {FEW_POINTS:.0f}, paths were often wrong"
-    points = _told("", "{smoothed_points_per_m:.1f} readings of walls in a metre of driving: " + few, metrics)
+    points = _told(
+        "", "{smoothed_points_per_m:.1f} readings of walls in a metre of driving: " + few, metrics
+    )
     return lines + (points if points and metrics["smoothed_points_per_m"] < FEW_POINTS else [])
 
 
 def _reversing(metrics: Mapping[str, Any]) -> list[str]:
     """How far the robot drove backwards although odometry reports driving ahead."""
-    if not _has(metrics, "smoothed_reversed_m", "smoothed_reversed_places") or not metrics["smoothed_reversed_places"]:
+    if (
+        not _has(metrics, "smoothed_reversed_m", "smoothed_reversed_places")
+        or not metrics["smoothed_reversed_places"]
+    ):
         return []
     count = metrics["smoothed_reversed_places"]
     where = f"{metrics['smoothed_reversed_m']:.1f} m at {counted(count, 'place')}"
@@ -244,8 +339,14 @@ def _errors(metrics: Mapping[str, Any]) -> list[str]:
     if not lines:
         return _told("error", "{ate_aligned_m:.3f} m rms when aligned", metrics)
     smoothed = _with(", smoothed {anees_smoothed:.2g}", metrics)
-    lines += _told("consistency", f"NEES / 3 is {{anees:.2g}}{smoothed}; 1 is right, more is overconfident", metrics)
-    return lines + _told("smoothed", "{ate_smoothed_m:.3f} m rms, by all that was known at the end", metrics)
+    lines += _told(
+        "consistency",
+        f"NEES / 3 is {{anees:.2g}}{smoothed}; 1 is right, more is overconfident",
+        metrics,
+    )
+    return lines + _told(
+        "smoothed", "{ate_smoothed_m:.3f} m rms, by all that was known at the end", metrics
+    )
 
 
 def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:

@@ -1,4 +1,6 @@
-"""Reads and writes trajectories as text, in the format of the TUM RGB-D benchmark: lines ``t x y z qx qy qz qw``."""
+"""Reads and writes trajectories as text, in the format of the TUM RGB-D benchmark: lines ``t x y z
+qx qy qz qw``.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +24,9 @@ def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
     """Write a trajectory (n, 3) as TUM lines ``t x y z qx qy qz qw``, s and m."""
     half = 0.5 * poses[:, 2]
     zero = np.zeros(len(poses))
-    table = np.column_stack((time, poses[:, 0], poses[:, 1], zero, zero, zero, np.sin(half), np.cos(half)))
+    table = np.column_stack(
+        (time, poses[:, 0], poses[:, 1], zero, zero, zero, np.sin(half), np.cos(half))
+    )
     np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
 
 
@@ -32,8 +36,8 @@ def suffix_of(robot: int, robots: int) -> str:
 
 
 def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[FloatArray]]) -> None:
-    """Write the paths (n, 3) of each robot, by their kinds: ``trajectory_est.tum``, or ``trajectory_est_0.tum`` and so
-    on of several robots.
+    """Write the paths (n, 3) of each robot, by their kinds: ``trajectory_est.tum``, or
+    ``trajectory_est_0.tum`` and so on of several robots.
     """
     for kind, each in paths.items():
         for number, poses in enumerate(each):
@@ -41,25 +45,29 @@ def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[Flo
 
 
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Times (n,), s, and poses in the plane (n, 3), m and rad, of a TUM file. Comments begin with ``#``.
+    """Times (n,), s, and poses in the plane (n, 3), m and rad, of a TUM file. Comments begin with
+    ``#``.
 
-    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x. Raises a TrajectoryError if
-    the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
+    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x. Raises a
+    TrajectoryError if the file cannot be read, has a line with other fields or a quaternion of
+    length 0, or has no poses.
     """
     numbers, table = read_rows(path, "t x y z qx qy qz qw")
     if not len(table):
         raise TrajectoryError(f"{path}: is empty")
     is_turn = table[:, 4:].any(axis=1)
     if not is_turn.all():
-        raise TrajectoryError(f"{path}: line {numbers[int(np.argmin(is_turn))]} has a quaternion of length 0")
+        raise TrajectoryError(
+            f"{path}: line {numbers[int(np.argmin(is_turn))]} has a quaternion of length 0"
+        )
     return table[:, 0], np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
 
 
 def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
     """Numbers of the lines (n,), counted from 1, and a table (n, k) of the finite numbers in them.
 
-    ``form`` names the k numbers of a line. Comments begin with ``#``. Raises a TrajectoryError if the file cannot be
-    read, or a line has other fields.
+    ``form`` names the k numbers of a line. Comments begin with ``#``. Raises a TrajectoryError if
+    the file cannot be read, or a line has other fields.
     """
     numbers: list[int] = []
     rows: list[list[float]] = []
@@ -67,7 +75,9 @@ def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
     try:
         lines = read_limited(path).decode("utf-8").splitlines()
     except (OSError, ValueError) as error:
-        raise TrajectoryError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise TrajectoryError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from error
     for number, line in enumerate(lines, start=1):
         text = line.partition("#")[0]
         if not text.strip():
@@ -88,6 +98,8 @@ def _numbers(text: str) -> list[float]:
 
 
 def _yaw(quaternions: FloatArray) -> FloatArray:
-    """Yaw (n,), rad, of quaternions (n, 4) in the order x, y, z, w, which need not have the length 1."""
+    """Yaw (n,), rad, of quaternions (n, 4) in the order x, y, z, w, which need not have the length
+    1.
+    """
     x, y, z, w = (quaternions / np.abs(quaternions).max(axis=1, keepdims=True)).T
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))

@@ -1,1 +1,3 @@
-"""Finding a place again: a local map is matched with another map, and a match counts only if it is unambiguous."""
+"""Finding a place again: a local map is matched with another map, and a match counts only if it is
+unambiguous.
+"""

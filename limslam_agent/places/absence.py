@@ -1,4 +1,6 @@
-"""What is kept of a robot that is lost, or not yet sure of its place: its steps, and the frame from before that."""
+"""What is kept of a robot that is lost, or not yet sure of its place: its steps, and the frame from
+before that.
+"""
 
 import math
 from collections.abc import Sequence
@@ -63,13 +65,15 @@ class StepLog:
     def forget_before(self, number: int) -> None:
         """Remove the steps before a number.
 
-        The last two steps always stay: a local frame begins at the pose after the first one kept, with the step after.
+        The last two steps always stay: a local frame begins at the pose after the first one kept,
+        with the step after.
         """
         gone = max(min(number, self.end - 2) - self.begin, 0)
         self.steps, self.begin = self.steps[gone:], self.begin + gone
 
     def driven_back(self, pose: FloatArray, number: int) -> FloatArray:
-        """Poses (m, 3) after each step from the first one kept to the one before ``number``, by the odometry alone.
+        """Poses (m, 3) after each step from the first one kept to the one before ``number``, by the
+        odometry alone.
 
         The last of them is ``pose`` (3,).
         """
@@ -81,7 +85,9 @@ class StepLog:
 
 @dataclass(frozen=True, eq=False)
 class KnownFrame:
-    """SLAM and occupancy grid of one frame, as they were before a step. Nothing changes them any more."""
+    """SLAM and occupancy grid of one frame, as they were before a step. Nothing changes them any
+    more.
+    """
 
     step: int
     slam: LineSlam
@@ -94,7 +100,9 @@ class KnownFrame:
 
     @property
     def spread(self) -> float:
-        """Standard deviation of a position of which nothing is known but that it is on the map, m."""
+        """Standard deviation of a position of which nothing is known but that it is on the map,
+        m.
+        """
         view = self.grid.view
         return float(max(view.values.shape) * view.cell / math.sqrt(12.0))
 
@@ -104,7 +112,8 @@ class KnownFrame:
         return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
 
     def explains(self, frame: FloatArray, covariance: FloatArray, rays: FloatArray) -> bool:
-        """Whether the covariance of the estimate explains that rays (n, 7) have moved it by a frame (3,).
+        """Whether the covariance of the estimate explains that rays (n, 7) have moved it by a frame
+        (3,).
 
         ``covariance`` (3, 3) is that of the match.
         """
@@ -119,9 +128,11 @@ class KnownFrame:
 
 
 def known_before(copies: Sequence[KnownFrame], first: int, margin: int) -> KnownFrame | None:
-    """The latest copy of an estimate that is older than the step ``first`` by a margin; None without a copy.
+    """The latest copy of an estimate that is older than the step ``first`` by a margin; None
+    without a copy.
 
-    If that copy has hardly a wall, because the drive has just begun, it is a later one from before the step.
+    If that copy has hardly a wall, because the drive has just begun, it is a later one from before
+    the step.
     """
     old = [copy for copy in copies if copy.step <= first - margin] or copies[:1]
     if old and old[-1].walls_m >= LEAST_KNOWN:
@@ -137,8 +148,12 @@ class Placed(NamedTuple):
     rays: FloatArray  # the rays (n, 7) in the map by which it did so
     # The map in which the readings have to fit; None if it is the map in which the robot goes on
     place: KnownPlaces | None
-    has_drifted: bool = False  # whether the robot was not carried away, but has drifted, and is near
-    has_slipped: bool = False  # whether it is not where its odometry says, and its covariance does not explain that
+    has_drifted: bool = (
+        False  # whether the robot was not carried away, but has drifted, and is near
+    )
+    has_slipped: bool = (
+        False  # whether it is not where its odometry says, and its covariance does not explain that
+    )
 
 
 @dataclass(eq=False)
@@ -148,18 +163,20 @@ class Absence:
     Attributes
     ----------
     loss
-        Why the robot was lost at first, or is unsure of its place, and whether the readings said in which step.
+        Why the robot was lost at first, or is unsure of its place, and whether the readings said in
+        which step.
     first, since
         First step in the local frame, and that of the first one of several local frames.
     search
         The search of the map that the robot was lost from, or in which its place was found.
     known
-        The frame that the robot was lost from. None if the robot is in the map of an earlier run, or has begun its map
-        anew.
+        The frame that the robot was lost from. None if the robot is in the map of an earlier run,
+        or has begun its map anew.
     steps
         The steps before ``since`` as they were believed when the robot was lost.
     is_carried
-        Whether the readings have said that the robot was carried away, at first or later in a local frame.
+        Whether the readings have said that the robot was carried away, at first or later in a local
+        frame.
     jump, driven
         Standard deviation of the position at the beginning, m, and distance since then, m.
     covariance, left
@@ -192,8 +209,8 @@ class Absence:
     def covariance_at(self, pose: FloatArray) -> FloatArray:
         """What has to be added to the covariance (3, 3) at a pose (3,) of the local frame.
 
-        The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An error of its heading
-        moves the poses that are far from there.
+        The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An
+        error of its heading moves the poses that are far from there.
         """
         since = covariance_of_lost(self.jump, self.driven, knows_heading=not self.is_carried)
         by_left, _ = compose_jacobians(self.left, between(self.left, pose))
@@ -227,11 +244,15 @@ class Placement(NamedTuple):
         Returns
         -------
         placement, closed
-            The placement in the map as it is now, and this map, if a loop was closed. Otherwise the placement as it
-            was, and None.
+            The placement in the map as it is now, and this map, if a loop was closed. Otherwise the
+            placement as it was, and None.
         """
         ends = wall_points(self.rays)
-        bent = slam.close(self.pose, self.covariance, ends) if self.has_drifted and slam.is_renewable else None
+        bent = (
+            slam.close(self.pose, self.covariance, ends)
+            if self.has_drifted and slam.is_renewable
+            else None
+        )
         if bent is None:
             slam.relocate(self.pose, self.covariance, ends=ends)
             return self, None
@@ -241,18 +262,22 @@ class Placement(NamedTuple):
         return self._replace(pose=slam.pose, rays=rays), closed
 
 
-def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: RangeSensor, place: KnownMap) -> int:
-    """The first step after a robot was carried away: earlier readings fit the poses that were believed, later ones fit
-    the poses by which it was placed again.
+def carried_at(
+    log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: RangeSensor, place: KnownMap
+) -> int:
+    """The first step after a robot was carried away: earlier readings fit the poses that were
+    believed, later ones fit the poses by which it was placed again.
 
-    Both are weighed by the evidence of the readings in the map, which is 0 on ground that the map does not have. There,
-    no reading contradicts anything, and a step would be taken for one of the new place if only contradictions counted.
-    The evidence of the change of the readings at the break counts, too.
+    Both are weighed by the evidence of the readings in the map, which is 0 on ground that the map
+    does not have. There, no reading contradicts anything, and a step would be taken for one of the
+    new place if only contradictions counted. The evidence of the change of the readings at the
+    break counts, too.
 
     Parameters
     ----------
     log
-        The steps. The robot was carried away after the first of them, and before the step after the last placed one.
+        The steps. The robot was carried away after the first of them, and before the step after the
+        last placed one.
     placed
         Poses (m, 3) of the first m steps of the log if the robot had been carried away before them.
     robot, sensor
@@ -261,16 +286,22 @@ def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: Range
         The map of the time before.
     """
     steps, mounted = log.steps[: len(placed)], sensor.mounted(robot)
-    # The steps before the break are explained by the poses that were believed, and the others by the placed ones.
+    # The steps before the break are explained by the poses that were believed, and the others by
+    # the placed ones.
     gained = [
         here.evidence - there.evidence
         for step, pose in zip(steps, placed, strict=True)
-        for here, there in [place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, mounted, sensor.bias))]
+        for here, there in [
+            place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, mounted, sensor.bias))
+        ]
     ]
     totals = np.cumsum(gained)
     changing = log.steps[: len(placed) + 1]
     changes = change_evidence(
-        np.array([step.ranges for step in changing]), np.array([step.motion for step in changing]), robot, sensor
+        np.array([step.ranges for step in changing]),
+        np.array([step.motion for step in changing]),
+        robot,
+        sensor,
     ).sum(axis=1)
     totals[1 : 1 + len(changes)] += changes
     # Of equally good steps, the last one is the nearest to the first doubt.

@@ -1,4 +1,6 @@
-"""The search for a robot's place in a map of others: of an earlier run, or of another robot, while both drive."""
+"""The search for a robot's place in a map of others: of an earlier run, or of another robot, while
+both drive.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -27,10 +29,13 @@ from limslam_env.geometry.se2 import between, compose, inverse, transform_points
 from limslam_env.interface import RobotSpec
 
 NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
-"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
+"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier
+map.
+"""
 
 FIRST = 15.0
-"""Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
+"""Distance that the robots drive before the first search, m, in the mean. Small maps of one room
+fit into another room.
 """
 
 _BODY = 0.4  # m: what ends so near to the middle of the other robot may be its body
@@ -53,12 +58,15 @@ class Lookup:
     Raises
     ------
     ValueError
-        If there is more than one robot, lost robots stay lost by the settings, or the settings have other cells.
+        If there is more than one robot, lost robots stay lost by the settings, or the settings have
+        other cells.
     """
 
     def __init__(self, saved: SavedMap, robot: RobotSpec, config: AgentConfig, robots: int) -> None:
         if not config.can_recover or robots != 1:
-            raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
+            raise ValueError(
+                "only one robot with the preset graph or consistent can look for its place in a map"
+            )
         OccupancyGrid.of(saved.grid, config.grid)
         self.saved, self._robot = saved, robot
         self.place = KnownPlaces(saved.segments, saved.grid, RangeSensor(config.range_std))
@@ -78,9 +86,11 @@ class Lookup:
         return self.is_open and self._search.is_due
 
     def seek(self, start: FloatArray, sensor: RangeSensor) -> Placement | None:
-        """Search the saved map for the start; it is found if two searches in succession find the same place.
+        """Search the saved map for the start; it is found if two searches in succession find the
+        same place.
 
-        ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is known now.
+        ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is
+        known now.
         """
         self.place.sensor = sensor
         rays = rays_of(self.steps, self._robot, sensor)
@@ -97,15 +107,18 @@ class Lookup:
         self._close("not found in the saved map", reason=reason)
 
     def _close(self, event: str, **details: Any) -> None:
-        self.records.append({"event": event, "step": len(self.steps) - 1, **details, **self._search.record})
+        self.records.append(
+            {"event": event, "step": len(self.steps) - 1, **details, **self._search.record}
+        )
         self.is_open = False
 
 
 class _MapOfOther(KnownPlaces):
     """The map of a robot, with which the rays of the other one are compared.
 
-    What may have hit the body of the robot itself, if the other one is at the place that is weighed, says nothing.
-    ``rays`` (n, 7) are those of the other robot in its own frame, and ``met`` (n, 2) is where the robot was then, m.
+    What may have hit the body of the robot itself, if the other one is at the place that is
+    weighed, says nothing. ``rays`` (n, 7) are those of the other robot in its own frame, and
+    ``met`` (n, 2) is where the robot was then, m.
     """
 
     def __init__(self, slam: LineSlam, grid: GridView, rays: FloatArray, met: FloatArray) -> None:
@@ -114,7 +127,10 @@ class _MapOfOther(KnownPlaces):
 
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
         """How well the rays (n, 7) fit the map, for poses (m, 3) of their frame."""
-        return [KnownPlaces.weigh(self, pose[None], rays[self.is_clear(pose, rays)])[0] for pose in poses]
+        return [
+            KnownPlaces.weigh(self, pose[None], rays[self.is_clear(pose, rays)])[0]
+            for pose in poses
+        ]
 
     def is_clear(self, pose: FloatArray, rays: FloatArray) -> BoolArray:
         """Which of the rays (n, 7) cannot have met the body, for a pose (3,) of their frame."""
@@ -142,7 +158,10 @@ class Meeting:
         nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
         self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
         self._driven = self._joined_at = 0.0
-        self._frame, self._rays = np.zeros(3), np.empty((0, 7))  # the place that was found, and by what
+        self._frame, self._rays = (
+            np.zeros(3),
+            np.empty((0, 7)),
+        )  # the place that was found, and by what
 
     def note(self, steps: Sequence[Sight]) -> None:
         """Keep a step of each robot in its own frame."""
@@ -154,7 +173,9 @@ class Meeting:
 
     @property
     def ranges(self) -> FloatArray:
-        """Readings (t, 2, n_beams) of both robots, m. They are NaN where there is no new reading."""
+        """Readings (t, 2, n_beams) of both robots, m. They are NaN where there is no new
+        reading.
+        """
         return np.array([[step.ranges for step in steps] for steps in self.steps]).swapaxes(0, 1)
 
     @property
@@ -168,8 +189,9 @@ class Meeting:
         Returns
         -------
         frame
-            The pose (3,) of the second robot's frame in the first map, if two searches in succession find the same
-            place, and the readings of neither robot contradict the map of the other one there. None otherwise.
+            The pose (3,) of the second robot's frame in the first map, if two searches in
+            succession find the same place, and the readings of neither robot contradict the map of
+            the other one there. None otherwise.
         """
         maps = self._maps(own_maps)
         self._search.place = maps[0]
@@ -178,26 +200,39 @@ class Meeting:
             frame, (first, second) = found.fit.pose, maps
             (back,) = second.weigh(inverse(frame)[None], second.rays)
             if back.is_on_map >= -DECIDED:
-                self._frame, self._rays = frame, moved(first.rays[first.is_clear(frame, first.rays)], frame)
+                self._frame, self._rays = (
+                    frame,
+                    moved(first.rays[first.is_clear(frame, first.rays)], frame),
+                )
                 return frame
         return None
 
     def has_joined(self, start: FloatArray) -> None:
-        """Note that the robots are a team, and the second robot's start pose (3,) in the first map."""
+        """Note that the robots are a team, and the second robot's start pose (3,) in the first
+        map.
+        """
         self._joined_at = self._driven
         self.records.append(self._record("joined", start=start.tolist()))
 
     def objection(
-        self, own_maps: Sequence[tuple[LineSlam, GridView]], shared: KnownPlaces, *, is_complete: bool
+        self,
+        own_maps: Sequence[tuple[LineSlam, GridView]],
+        shared: KnownPlaces,
+        *,
+        is_complete: bool,
     ) -> str:
         """Why the robots are no team after all, in words; empty if nothing speaks against it.
 
-        The place is confirmed if the shared map is complete, or the robots have driven far, and the readings by which
-        the place was found fit nowhere else in the shared map. ``own_maps`` are empty if they say nothing of the place.
+        The place is confirmed if the shared map is complete, or the robots have driven far, and the
+        readings by which the place was found fit nowhere else in the shared map. ``own_maps`` are
+        empty if they say nothing of the place.
         """
         self._search.wait()
         if own_maps:
-            first, drift = self._maps(own_maps)[0], own_maps[0][0].covariance + own_maps[1][0].covariance
+            first, drift = (
+                self._maps(own_maps)[0],
+                own_maps[0][0].covariance + own_maps[1][0].covariance,
+            )
             if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
                 return "the readings contradict the other robot's map"
         driven = self._driven - self._joined_at
@@ -237,7 +272,9 @@ class Meeting:
 
 
 def may_have_met(poses: FloatArray, ranges: FloatArray, robot: RobotSpec) -> BoolArray:
-    """Which readings (t, 2, n_beams), m, of two robots at poses (t, 2, 3) may be of the body of the other one."""
+    """Which readings (t, 2, n_beams), m, of two robots at poses (t, 2, 3) may be of the body of the
+    other one.
+    """
     points = robot.beam_origins + ranges[..., None] * robot.beam_directions
     others = between(poses, poses[:, ::-1])[..., None, :2]
     return np.asarray(np.hypot(*np.moveaxis(points - others, -1, 0)) < _BODY)

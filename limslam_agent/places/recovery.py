@@ -1,8 +1,9 @@
 """Recovery of one robot: it is here, lost, or placed again without being sure of it.
 
-A robot that is lost goes on in a new local frame, with a map of its own. The earlier map is kept as it was before the
-first doubt about the estimate. The readings since then are compared with it again and again, until two searches in
-succession find the same place. The robot then goes on there, until its place is confirmed or refuted.
+A robot that is lost goes on in a new local frame, with a map of its own. The earlier map is kept as
+it was before the first doubt about the estimate. The readings since then are compared with it again
+and again, until two searches in succession find the same place. The robot then goes on there, until
+its place is confirmed or refuted.
 """
 
 import math
@@ -48,8 +49,8 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec
 
-# Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by which
-# a copy must be older than the first doubt about the estimate.
+# Number of steps between two copies of the estimate, number of copies that are kept, and least
+# number of steps by which a copy must be older than the first doubt about the estimate.
 _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
 
 
@@ -63,11 +64,13 @@ class Recovery:
     log
         The latest steps; all steps since the robot was lost.
     absence
-        What is known about a robot that is lost, or that is not yet sure of its place; None otherwise.
+        What is known about a robot that is lost, or that is not yet sure of its place; None
+        otherwise.
     breaks
         Steps before which the robot was carried away, in the frame that it has found again.
     slips
-        Parts of the drive in which it has slipped: from where its place was known to where it was placed near by.
+        Parts of the drive in which it has slipped: from where its place was known to where it was
+        placed near by.
     records
         What happened, for ``result.json``.
     """
@@ -89,7 +92,9 @@ class Recovery:
 
     @property
     def is_placed(self) -> bool:
-        """Whether the robot has found its place, or begun a new map, without being sure of it yet."""
+        """Whether the robot has found its place, or begun a new map, without being sure of it
+        yet.
+        """
         return self.absence is not None and self.absence.placed is not None
 
     @property
@@ -103,7 +108,9 @@ class Recovery:
         if self.absence is None or not self.is_lost or self.absence.search.latest is None:
             return []
         grid, likely = self.absence.search.place.grid, self.absence.search.latest.open
-        return [Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), grid) for fit in likely]
+        return [
+            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), grid) for fit in likely
+        ]
 
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
@@ -113,7 +120,10 @@ class Recovery:
             return self.absence.loss.status
         if own.level != "ok":
             return own
-        return Status("unsure", NOT_CONFIRMED if self.absence.known is not None else self.absence.loss.status.reason)
+        return Status(
+            "unsure",
+            NOT_CONFIRMED if self.absence.known is not None else self.absence.loss.status.reason,
+        )
 
     @property
     def added_covariance(self) -> FloatArray:
@@ -125,7 +135,9 @@ class Recovery:
             return self._offset
         return self._offset + self.absence.covariance_at(self.log.steps[-1].pose)
 
-    def note(self, step: Sight, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
+    def note(
+        self, step: Sight, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False
+    ) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
         While the robot may have been carried away, half of the copies are kept from before.
@@ -144,7 +156,9 @@ class Recovery:
                 self.log.forget_before(self._copies[0].step)
 
     def move(self, poses: Sequence[FloatArray]) -> None:
-        """A renewal has moved the latest steps to poses (3,): copies from before and searches mean nothing any more."""
+        """A renewal has moved the latest steps to poses (3,): copies from before and searches mean
+        nothing any more.
+        """
         self._copies = []
         kept = poses[max(len(poses) - len(self.log.steps), 0) :]
         self.log.move(self.log.end - len(kept), kept)
@@ -154,9 +168,9 @@ class Recovery:
     def lose(self, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
         """The robot is lost, and the odometry has jumped by a distance, m.
 
-        A robot whose place was found and is wrong goes back to the frame as it was before, and to what it believed and
-        knew when it was lost from there: what it has read at a wrong place says nothing of the earlier map. If it has
-        slipped since then, its place was right.
+        A robot whose place was found and is wrong goes back to the frame as it was before, and to
+        what it believed and knew when it was lost from there: what it has read at a wrong place
+        says nothing of the earlier map. If it has slipped since then, its place was right.
         """
         before, first = self.absence, max(self.log.end - 1 - loss.ago, self.log.begin + 1)
         if before is None or before.known is None or (self.is_placed and loss.known is not None):
@@ -169,25 +183,46 @@ class Recovery:
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
         else:
-            before.is_carried |= loss.is_carried  # the step in which that was remains unknown if it was so
+            before.is_carried |= (
+                loss.is_carried
+            )  # the step in which that was remains unknown if it was so
         before.first = max(first, self.log.begin + 1)
         before.search.begin_anew()
         self._copies = []
         self.note_event("lost", step=before.first, reason=loss.status.reason)
 
-    def _lost_from(self, first: int, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> Absence:
+    def _lost_from(
+        self, first: int, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid
+    ) -> Absence:
         """A robot that was lost at a step, from the latest frame before it.
 
         If the readings have said in which step it was carried away, the map until then is good.
         """
-        known = known_before(self._copies, first, 1 if loss.is_dated else _MARGIN) or self._copy(slam, grid)
+        known = known_before(self._copies, first, 1 if loss.is_dated else _MARGIN) or self._copy(
+            slam, grid
+        )
         self.log.forget_before(known.step)
-        jump, since = max(jump, known.spread) if loss.is_carried else jump, max(first, self.log.begin + 1)
+        jump, since = (
+            max(jump, known.spread) if loss.is_carried else jump,
+            max(first, self.log.begin + 1),
+        )
         search, steps = PlaceSearch(known.places), self.log.before(since)
-        return Absence(loss, since, since, search, known, steps, loss.is_carried, jump, slam.covariance, slam.pose)
+        return Absence(
+            loss,
+            since,
+            since,
+            search,
+            known,
+            steps,
+            loss.is_carried,
+            jump,
+            slam.covariance,
+            slam.pose,
+        )
 
     def begin_anew(self) -> bool:
-        """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
+        """Whether a lost robot begins a new map where it believes to be, since it cannot be found
+        in its earlier map.
 
         This is the case if the earlier map has too few walls. The new map then takes its place.
         """
@@ -199,8 +234,11 @@ class Recovery:
         self._believe(BEGUN_ANEW, absence.first, absence.search.place, np.empty((0, 7)))
         return True
 
-    def arrive(self, steps: Sequence[Sight], poses: FloatArray, place: KnownPlaces, rays: FloatArray) -> None:
-        """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be confirmed.
+    def arrive(
+        self, steps: Sequence[Sight], poses: FloatArray, place: KnownPlaces, rays: FloatArray
+    ) -> None:
+        """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be
+        confirmed.
 
         The poses of its steps until now are ``poses`` (m, 3) in that map.
         """
@@ -211,7 +249,9 @@ class Recovery:
     def _believe(self, reason: str, first: int, place: KnownPlaces, rays: FloatArray) -> None:
         """The robot is unsure of its place since a step, and has no other frame to go back to."""
         placed = Placed(0.0, rays, None)
-        self.absence = Absence(Loss(Status("unsure", reason), 0), first, first, PlaceSearch(place), placed=placed)
+        self.absence = Absence(
+            Loss(Status("unsure", reason), 0), first, first, PlaceSearch(place), placed=placed
+        )
 
     def is_refuted(self, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""
@@ -225,7 +265,9 @@ class Recovery:
         return self.absence is not None and self.absence.search.is_due
 
     def seek(self, sensor: RangeSensor) -> Placement | None:
-        """Search the known map for the place. The placement if two searches in succession find the same place."""
+        """Search the known map for the place. The placement if two searches in succession find the
+        same place.
+        """
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
         place, rays = absence.search.place, self._rays(absence, sensor)
@@ -238,17 +280,25 @@ class Recovery:
         return None if found is None else self._placement(absence, rays, found, sensor)
 
     def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:
-        """The placement of a robot that may have drifted, if its readings since then fit near the believed pose.
+        """The placement of a robot that may have drifted, if its readings since then fit near the
+        believed pose.
 
-        Such a robot need not go on in a local frame. If it has slipped, ``known`` is the map of that moment.
+        Such a robot need not go on in a local frame. If it has slipped, ``known`` is the map of
+        that moment.
         """
         absence = self.absence
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         if known is None and absence.first <= absence.known.step + 1:
-            return None  # the doubtful readings may be in that map already, and would fit there in any case
+            # the doubtful readings may be in that map already, and would fit there in any case
+            return None
         rays = self._rays(absence, sensor)
-        # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
-        near = slip_fit(known, rays) if known else drift_fit(absence.search.place, rays, absence.covariance)
+        # Ground that the map does not have is unlikely beforehand, since nothing says that the
+        # robot was carried away.
+        near = (
+            slip_fit(known, rays)
+            if known
+            else drift_fit(absence.search.place, rays, absence.covariance)
+        )
         if near.evidence < LEAD or near.fit.is_on_map < 0.0:  # without rays, the evidence is 0
             return None
         middle = rays[:, :2].mean(axis=0)
@@ -259,14 +309,23 @@ class Recovery:
 
     @property
     def may_have_drifted(self) -> bool:
-        """Whether nothing says that a lost robot was carried away, and no place was found that is wrong."""
-        return self.absence is not None and not self.absence.has_returned and not self.absence.was_moved
+        """Whether nothing says that a lost robot was carried away, and no place was found that is
+        wrong.
+        """
+        return (
+            self.absence is not None
+            and not self.absence.has_returned
+            and not self.absence.was_moved
+        )
 
-    def has_been_renewed(self, poses: Sequence[FloatArray], slam: LineSlam, grid: OccupancyGrid) -> None:
-        """A renewal has moved the latest steps of a lost robot to poses (3,), where its readings fit.
+    def has_been_renewed(
+        self, poses: Sequence[FloatArray], slam: LineSlam, grid: OccupancyGrid
+    ) -> None:
+        """A renewal has moved the latest steps of a lost robot to poses (3,), where its readings
+        fit.
 
-        So the robot has drifted, and was not carried away. Its place is to be confirmed. The frame from before the
-        doubt is kept until then.
+        So the robot has drifted, and was not carried away. Its place is to be confirmed. The frame
+        from before the doubt is kept until then.
         """
         self.move(poses)
         renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
@@ -274,29 +333,43 @@ class Recovery:
         self._return(np.empty((0, 7)), renewed, has_drifted=True)
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
-        """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
+        """The robot goes on in the known frame. If this has closed a loop, the map of this frame is
+        ``closed`` now.
+        """
         has_slipped = placement.has_drifted and closed is None
         if has_slipped:
-            self.slips.append((max([0, *self.breaks, *(last for _, last in self.slips)]), placement.step))
+            self.slips.append(
+                (max([0, *self.breaks, *(last for _, last in self.slips)]), placement.step)
+            )
         elif closed is None:
             self.breaks.append(placement.step)
         self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
-        self._return(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
+        self._return(
+            placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped
+        )
 
     def _return(
-        self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, has_slipped: bool = False
+        self,
+        rays: FloatArray,
+        place: KnownPlaces | None,
+        *,
+        has_drifted: bool,
+        has_slipped: bool = False,
     ) -> None:
         absence = self.absence
         assert absence is not None  # noqa: S101 (the robot was lost)
         absence.search.wait()
-        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, has_slipped)
+        absence.placed = Placed(
+            absence.driven, rays, place or absence.search.place, has_drifted, has_slipped
+        )
         absence.has_returned = True
 
     def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:
-        """Whether all readings of a robot that has drifted still fit, although its monitor says that it is lost.
+        """Whether all readings of a robot that has drifted still fit, although its monitor says
+        that it is lost.
 
-        The monitor judges by a few readings what the search for a place judges by hundreds. Both have to agree, or the
-        robot would be lost and found in turns.
+        The monitor judges by a few readings what the search for a place judges by hundreds. Both
+        have to agree, or the robot would be lost and found in turns.
         """
         placed = None if self.absence is None else self.absence.placed
         if self.absence is None or placed is None or not placed.has_drifted or own.loss is None:
@@ -316,7 +389,10 @@ class Recovery:
         if own.level != "ok" or driven < CONFIRMED:
             return
         if not absence.placed.has_drifted:
-            if driven < FAR_CONFIRMED and frontier_cells(grid, self._agent.policy.min_frontier).any():
+            if (
+                driven < FAR_CONFIRMED
+                and frontier_cells(grid, self._agent.policy.min_frontier).any()
+            ):
                 return
             rays = self._rays(absence, slam.range_sensor)
             if other_place(KnownPlaces(slam.segments, grid, slam.range_sensor), rays):
@@ -332,13 +408,18 @@ class Recovery:
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
-    def _placement(self, absence: Absence, rays: FloatArray, found: Localisation, sensor: RangeSensor) -> Placement:
+    def _placement(
+        self, absence: Absence, rays: FloatArray, found: Localisation, sensor: RangeSensor
+    ) -> Placement:
         """Where the robot was before it was carried away."""
         assert found.fit is not None  # noqa: S101 (a place was found)
         log, frame, known = self.log, found.fit.pose, absence.known
         last = max(absence.first - 1, log.begin)
-        # A robot that was lost in its local frame, too, was carried away before it was lost for the first time.
-        placed = log.driven_back(compose(frame, log[last].pose), last + 1)[: max(absence.since - log.begin, 1)]
+        # A robot that was lost in its local frame, too, was carried away before it was lost for the
+        # first time.
+        placed = log.driven_back(compose(frame, log[last].pose), last + 1)[
+            : max(absence.since - log.begin, 1)
+        ]
         step = log.begin + len(placed)
         if not absence.loss.is_dated:
             step = carried_at(log, placed, self._robot, sensor, absence.search.place)

@@ -1,4 +1,6 @@
-"""What becomes known about earlier steps of a robot that was lost: their poses, or that their place is unknown."""
+"""What becomes known about earlier steps of a robot that was lost: their poses, or that their place
+is unknown.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,10 +13,16 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 
 NOT_CONFIRMED = "the robot's place was found, and it is not confirmed yet"
-BEGUN_ANEW = "the robot was lost before its map had walls, and has begun a new map where it believed to be"
+BEGUN_ANEW = (
+    "the robot was lost before its map had walls, and has begun a new map where it believed to be"
+)
 _UNCONFIRMED = {
     event: Status("unsure", reason)
-    for event, reason in (("found", NOT_CONFIRMED), ("renewed", NOT_CONFIRMED), ("begun anew", BEGUN_ANEW))
+    for event, reason in (
+        ("found", NOT_CONFIRMED),
+        ("renewed", NOT_CONFIRMED),
+        ("begun anew", BEGUN_ANEW),
+    )
 }
 
 
@@ -63,13 +71,16 @@ class PlaceHistory:
     revisions: list[Revision] = field(default_factory=list)
     # The steps before which the robot was carried away, as far as it has found its place again
     breaks: list[int] = field(default_factory=list)
-    # Parts of the drive, from a step to before another one, in one step of which the robot has slipped
+    # Parts of the drive, from a step to before another one, in one step of which the robot has
+    # slipped
     slips: list[tuple[int, int]] = field(default_factory=list)
-    unplaced: Unplaced | None = None  # the local map of a robot that is still lost at the end; None otherwise
+    unplaced: Unplaced | None = (
+        None  # the local map of a robot that is still lost at the end; None otherwise
+    )
     # When the robot was lost and found, and the matches that decided it
     records: list[dict[str, Any]] = field(default_factory=list)
-    # Whether the robot may have been carried away before the end. The smoother, which believes the wheels, cannot see
-    # that.
+    # Whether the robot may have been carried away before the end. The smoother, which believes the
+    # wheels, cannot see that.
     is_suspicious: bool = False
 
     @property
@@ -79,7 +90,8 @@ class PlaceHistory:
 
     @property
     def doubt(self) -> Status:
-        """The status at the end of a robot whose place or map was not confirmed, or that may have been carried away.
+        """The status at the end of a robot whose place or map was not confirmed, or that may have
+        been carried away.
 
         Otherwise, it is ok.
         """
@@ -87,8 +99,11 @@ class PlaceHistory:
         return MAYBE_CARRIED if found.level == "ok" and self.is_suspicious else found
 
 
-def revised(poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]) -> tuple[FloatArray, FloatArray]:
-    """The poses (t, n, 3) of a run of one robot as they are known at the end, with covariances (t, n, 3, 3).
+def revised(
+    poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]
+) -> tuple[FloatArray, FloatArray]:
+    """The poses (t, n, 3) of a run of one robot as they are known at the end, with covariances (t,
+    n, 3, 3).
 
     While the robot was lost, its poses were in a local frame.
     """

@@ -45,7 +45,8 @@ class SavedMap:
 
 
 def read_saved_map(folder: Path) -> SavedMap:
-    """Read ``map.json``, ``map.yaml`` and ``map.pgm`` of the folder of a run, a replay or a live robot.
+    """Read ``map.json``, ``map.yaml`` and ``map.pgm`` of the folder of a run, a replay or a live
+    robot.
 
     Raises
     ------
@@ -57,7 +58,10 @@ def read_saved_map(folder: Path) -> SavedMap:
     content = _read_json(folder / "map.json")
     try:
         segments = np.array(content["segments"], dtype=float).reshape(-1, 4)
-        landmarks = [_landmark(number, each, len(segments)) for number, each in enumerate(content["landmarks"])]
+        landmarks = [
+            _landmark(number, each, len(segments))
+            for number, each in enumerate(content["landmarks"])
+        ]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise SavedMapError(f"{folder / 'map.json'}: is no map of limslam: {error}") from error
     if not len(segments) or not np.isfinite(segments).all() or np.abs(segments).max() > 1e6:
@@ -68,12 +72,18 @@ def read_saved_map(folder: Path) -> SavedMap:
 def _landmark(number: int, found: dict[str, Any], walls: int) -> Landmark:
     covariance, ends = np.array(found["cov"], dtype=float), np.array(found["ends"], dtype=float)
     segments = tuple(int(each) for each in found["segments"])
-    if covariance.shape != (2, 2) or ends.shape != (2, 2) or not all(0 <= each < walls for each in segments):
+    if (
+        covariance.shape != (2, 2)
+        or ends.shape != (2, 2)
+        or not all(0 <= each < walls for each in segments)
+    ):
         raise ValueError(f"landmark {number} has wrong covariances, ends or segments")
     numbers = [float(found["r"]), float(found["theta"]), *covariance.ravel(), *ends.ravel()]
     if not np.isfinite(numbers).all() or np.linalg.eigvalsh(covariance)[0] < -1e-12:
         raise ValueError(f"landmark {number} has numbers that are not finite, or no covariance")
-    return Landmark(numbers[0], numbers[1], covariance, ends, int(found["observations"]), number, segments)
+    return Landmark(
+        numbers[0], numbers[1], covariance, ends, int(found["observations"]), number, segments
+    )
 
 
 def read_grid(folder: Path) -> GridView:
@@ -91,12 +101,18 @@ def read_grid(folder: Path) -> GridView:
         low = np.array([float(each) for each in origin])
         pixels = _pixels(read_limited(folder / "map.pgm"))
     except OSError as error:
-        raise SavedMapError(f"{folder}: its map.yaml or map.pgm cannot be read: {error.strerror or error}") from error
+        raise SavedMapError(
+            f"{folder}: its map.yaml or map.pgm cannot be read: {error.strerror or error}"
+        ) from error
     except (IndexError, ValueError) as error:
-        raise SavedMapError(f"{folder}: its map.yaml or map.pgm is not as limslam writes it") from error
+        raise SavedMapError(
+            f"{folder}: its map.yaml or map.pgm is not as limslam writes it"
+        ) from error
     if not (0.0 < cell < 1e3 and np.isfinite(low).all() and np.abs(low).max() < 1e6):
         raise SavedMapError(f"{folder / 'map.yaml'}: its resolution or its origin is impossible")
-    values = np.where(pixels <= _WALL, -_KNOWN, np.where(pixels == _UNKNOWN, 0, _KNOWN)).astype(np.int16)
+    values = np.where(pixels <= _WALL, -_KNOWN, np.where(pixels == _UNKNOWN, 0, _KNOWN)).astype(
+        np.int16
+    )
     return GridView(low, cell, values)
 
 

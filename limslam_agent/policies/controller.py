@@ -1,4 +1,6 @@
-"""Steering: from a target point to wheel speeds, and a guard that slows down before the body touches anything."""
+"""Steering: from a target point to wheel speeds, and a guard that slows down before the body
+touches anything.
+"""
 
 import math
 from dataclasses import dataclass
@@ -19,8 +21,8 @@ TURN_RATE = 2.0
 STOP_DISTANCE = 0.06
 """Free distance ahead of the rim below which the robot only turns, m."""
 PATIENCE = 30
-"""Number of steps without progress after which a look or the corner of a tour is given up. Frontiers, the way
-home and turns on the spot have a multiple of it.
+"""Number of steps without progress after which a look or the corner of a tour is given up.
+Frontiers, the way home and turns on the spot have a multiple of it.
 """
 _LOOKAHEAD = 0.25  # m
 ARRIVED = 0.08
@@ -30,13 +32,15 @@ AHEAD = 0.05
 REPLAN_PERIOD = 5
 """Number of steps between two plans."""
 
-# Number of steps for which a measured point is remembered, and a point of a beam that reads its minimum range.
+# Number of steps for which a measured point is remembered, and a point of a beam that reads its
+# minimum range.
 MEMORY, TOUCH = 40, 3
 # A beam at its minimum range is assumed to have hit something at this share of the minimum range.
 TOUCHING = 0.4
 LOOK_AHEAD = 0.3  # s
 MARGIN = 0.025  # m
-# A point that lies deeper (m) inside the body is wrong: it is noise, or the pose has been corrected since.
+# A point that lies deeper (m) inside the body is wrong: it is noise, or the pose has been corrected
+# since.
 GHOST = 0.02
 SHARES = np.array([1.0, 0.5, 0.25])
 
@@ -45,14 +49,17 @@ SHARES = np.array([1.0, 0.5, 0.25])
 class Progress:
     """Whether a robot comes nearer to where it drives.
 
-    ``left`` is the shortest remaining way so far, m, and ``idle`` the number of steps since it became shorter.
+    ``left`` is the shortest remaining way so far, m, and ``idle`` the number of steps since it
+    became shorter.
     """
 
     left: float = math.inf
     idle: int = 0
 
     def count(self, left: float, *, is_new: bool = False) -> None:
-        """Count a step with a remaining way, m. ``is_new`` is whether the robot has seen something new."""
+        """Count a step with a remaining way, m. ``is_new`` is whether the robot has seen something
+        new.
+        """
         is_nearer = left < self.left - AHEAD and math.isfinite(self.left)
         self.idle = 0 if is_nearer or is_new else self.idle + 1
         if is_nearer or not math.isfinite(self.left):
@@ -64,11 +71,14 @@ class Progress:
         return self.idle > PATIENCE
 
 
-def steer(pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, cruise: float) -> FloatArray:
-    """Wheel speeds (2,), fractions of the maximum, that drive towards a point (2,), m, at ``cruise`` m/s or less.
+def steer(
+    pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, cruise: float
+) -> FloatArray:
+    """Wheel speeds (2,), fractions of the maximum, that drive towards a point (2,), m, at
+    ``cruise`` m/s or less.
 
-    If the heading is off by more than 40 degrees, the robot turns on the spot. Otherwise it drives, and slows down when
-    the front beams show little free distance.
+    If the heading is off by more than 40 degrees, the robot turns on the spot. Otherwise it drives,
+    and slows down when the front beams show little free distance.
     """
     error = bearing_of(pose, target)
     if abs(error) > _TURN_IN_PLACE:
@@ -78,11 +88,14 @@ def steer(pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: Robot
     return wheel_speeds(speed, _turn_rate(error), robot)
 
 
-def follow(path: FloatArray, belief: Belief, robot: RobotSpec, cruise: float) -> tuple[FloatArray, float] | None:
-    """Wheel speeds (2,) along a path (k, 2), m, at ``cruise`` m/s or less, and the length of path that is left, m.
-    None at its end.
+def follow(
+    path: FloatArray, belief: Belief, robot: RobotSpec, cruise: float
+) -> tuple[FloatArray, float] | None:
+    """Wheel speeds (2,) along a path (k, 2), m, at ``cruise`` m/s or less, and the length of path
+    that is left, m. None at its end.
 
-    The robot steers for the first point after the nearest one that is farther away than 25 cm, or for the last one.
+    The robot steers for the first point after the nearest one that is farther away than 25 cm, or
+    for the last one.
     """
     away = np.hypot(*(path - belief.pose[:2]).T)
     if away[-1] < ARRIVED or len(path) == 1:
@@ -95,7 +108,9 @@ def follow(path: FloatArray, belief: Belief, robot: RobotSpec, cruise: float) ->
 
 
 def turn_by(error: float, robot: RobotSpec) -> FloatArray:
-    """Wheel speeds (2,) that turn the robot on the spot by ``error`` (rad), positive counter-clockwise."""
+    """Wheel speeds (2,) that turn the robot on the spot by ``error`` (rad), positive
+    counter-clockwise.
+    """
     return wheel_speeds(0.0, _turn_rate(error), robot)
 
 
@@ -110,17 +125,22 @@ def _turn_rate(error: float) -> float:
 
 
 def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
-    """Distance (m) that the body can drive straight ahead before it meets the nearest point seen by a front beam.
+    """Distance (m) that the body can drive straight ahead before it meets the nearest point seen by
+    a front beam.
 
-    A beam without a finite reading is ignored. If all front beams are without a finite reading, the distance is zero.
+    A beam without a finite reading is ignored. If all front beams are without a finite reading, the
+    distance is zero.
     """
     from limslam_agent.kernels.nearness import room_ahead
 
-    return room_ahead(np.asarray(ranges, dtype=float), robot.beam_table, _FRONT, robot.radius, _BODY_MARGIN)
+    return room_ahead(
+        np.asarray(ranges, dtype=float), robot.beam_table, _FRONT, robot.radius, _BODY_MARGIN
+    )
 
 
 def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray:
-    """Left and right wheel speed (2,) as fractions of the maximum, from a speed (m/s) and a rate of turn (rad/s).
+    """Left and right wheel speed (2,) as fractions of the maximum, from a speed (m/s) and a rate of
+    turn (rad/s).
 
     If the wheels cannot do both, the rate of turn is kept and the speed is reduced.
     """
@@ -140,9 +160,9 @@ def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple
 class CollisionGuard:
     """Reduces the forward speed when the body would come too close to a recently measured point.
 
-    A few beams leave gaps, and a corner fits between two of them, so the guard remembers the readings of the last
-    seconds. It places points by the change of the estimated pose since they were measured, and does not use the map,
-    which may be wrong.
+    A few beams leave gaps, and a corner fits between two of them, so the guard remembers the
+    readings of the last seconds. It places points by the change of the estimated pose since they
+    were measured, and does not use the map, which may be wrong.
 
     Parameters
     ----------
@@ -162,14 +182,17 @@ class CollisionGuard:
 
         # The oldest readings are replaced.
         seen, touched = self._seen[self._steps % MEMORY], self._touched[self._steps % TOUCH]
-        place_readings(pose, np.asarray(ranges, dtype=float), self._robot.beam_table, TOUCHING, seen, touched)
+        place_readings(
+            pose, np.asarray(ranges, dtype=float), self._robot.beam_table, TOUCHING, seen, touched
+        )
         self._steps += 1
 
     def limit_speed(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
-        """Reduce wheel speeds (2,), fractions of the maximum, until the next 0.3 s are free of contact.
+        """Reduce wheel speeds (2,), fractions of the maximum, until the next 0.3 s are free of
+        contact.
 
-        The rate of turn stays the same. The forward speed is scaled by 1, 1/2, 1/4 or 0, whichever is the largest that
-        keeps the body away from all remembered points.
+        The rate of turn stays the same. The forward speed is scaled by 1, 1/2, 1/4 or 0, whichever
+        is the largest that keeps the body away from all remembered points.
         """
         from limslam_agent.kernels.nearness import safe_share
 

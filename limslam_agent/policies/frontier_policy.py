@@ -1,4 +1,6 @@
-"""Frontier exploration: drive to the frontier of least cost until no frontier is left or reachable."""
+"""Frontier exploration: drive to the frontier of least cost until no frontier is left or
+reachable.
+"""
 
 import math
 
@@ -9,7 +11,14 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.controller import PATIENCE, REPLAN_PERIOD, Progress, follow, nearest_beam, turn_by
+from limslam_agent.policies.controller import (
+    PATIENCE,
+    REPLAN_PERIOD,
+    Progress,
+    follow,
+    nearest_beam,
+    turn_by,
+)
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, next_target
@@ -23,19 +32,21 @@ _POINTED = math.radians(4.0)
 # The robot has seen something new when the map has this many more cells.
 _NEW_CELLS = 2
 _MOST_NAMED = 3
-# Number of cells that the beams must reach from the middle of the robot, so that they see a free cell beside its own.
+# Number of cells that the beams must reach from the middle of the robot, so that they see a free
+# cell beside its own.
 _CELLS_SEEN = 1.75
 
 
 class FrontierPolicy(MapExplorer):
     """Drives to the frontier of least cost until there is none left (step 8 of the method).
 
-    The robot first looks at a frontier with the nearest beam from a distance. If that shows nothing, the robot drives
-    to it. What it has looked at, or could not reach, is no goal any more, so exploration always ends.
+    The robot first looks at a frontier with the nearest beam from a distance. If that shows
+    nothing, the robot drives to it. What it has looked at, or could not reach, is no goal any more,
+    so exploration always ends.
 
-    A robot whose beams reach less than :func:`least_reach` sees no free cell beside its own, and so no frontier. Such a
-    robot follows walls instead until it has seen nothing new for a while, and its stop reason says that the world is
-    not explored.
+    A robot whose beams reach less than :func:`least_reach` sees no free cell beside its own, and so
+    no frontier. Such a robot follows walls instead until it has seen nothing new for a while, and
+    its stop reason says that the world is not explored.
 
     Parameters
     ----------
@@ -58,7 +69,8 @@ class FrontierPolicy(MapExplorer):
         self._known = 0
 
     def _drop(self) -> None:
-        # The target, and whether the robot drives to the end of its path, as it saw nothing from a distance.
+        # The target, and whether the robot drives to the end of its path, as it saw nothing from a
+        # distance.
         self._pursued: Target | None = None
         self._goes_near = False
         self.plan = NO_PLAN
@@ -70,7 +82,9 @@ class FrontierPolicy(MapExplorer):
         return None if self._pursued is None else self._pursued.goal
 
     def resume(self, belief: Belief) -> bool:
-        """Explore again, after the policy has stopped, if there is a frontier that can be reached; whether there is."""
+        """Explore again, after the policy has stopped, if there is a frontier that can be reached;
+        whether there is.
+        """
         if self._target(belief) is None:
             return False
         self.stop_reason = None
@@ -87,7 +101,9 @@ class FrontierPolicy(MapExplorer):
     def _follow_walls(self, belief: Belief) -> FloatArray:
         wheels, reason = self._wall_follower.act(belief), self._wall_follower.stop_reason
         if reason is not None:
-            self.stop_reason = f"{reason}, and {short_reach(self.robot, belief.grid.cell)}: {NOT_EXPLORED}"
+            self.stop_reason = (
+                f"{reason}, and {short_reach(self.robot, belief.grid.cell)}: {NOT_EXPLORED}"
+            )
         return wheels
 
     def _target(self, belief: Belief) -> Target | None:
@@ -127,9 +143,13 @@ class FrontierPolicy(MapExplorer):
         self._progress.idle += 1
         if abs(error) > _POINTED and self._progress.idle <= 3 * PATIENCE:
             return turn_by(error, self.robot)
-        distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self.robot.beam_origins[beam]))
+        distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(
+            np.hypot(*self.robot.beam_origins[beam])
+        )
         reading = float(belief.ranges[beam])
-        is_wall = reading < self.robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
+        is_wall = (
+            reading < self.robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
+        )
         if is_wall or self._goes_near:
             self._settled.append(target.goal)
             self._drop()
@@ -139,8 +159,11 @@ class FrontierPolicy(MapExplorer):
 
     def _reason(self, belief: Belief) -> str:
         grid = belief.grid
-        frontier = frontier_cells(grid, self._config.min_frontier, cells_around(grid, self._settled))
-        # Beams that pass a wall by an error leave a few free cells behind it, in which the robot has no room.
+        frontier = frontier_cells(
+            grid, self._config.min_frontier, cells_around(grid, self._settled)
+        )
+        # Beams that pass a wall by an error leave a few free cells behind it, in which the robot
+        # has no room.
         regions, _ = ndimage.label(grid.free)
         away = ndimage.distance_transform_edt(np.pad(grid.free, 1))[1:-1, 1:-1]
         has_room = away >= 0.5 + self.robot.radius / grid.cell
@@ -167,8 +190,9 @@ def cells_around(grid: GridView, places: list[FloatArray]) -> BoolArray:
 
 
 def least_reach(robot: RobotSpec, cell: float) -> float:
-    """Least reach (m) of the beams from the middle of the robot that frontier exploration needs on a grid of cells of
-    a side (m). The beams must see past the body, and a free cell beside the robot's own.
+    """Least reach (m) of the beams from the middle of the robot that frontier exploration needs on
+    a grid of cells of a side (m). The beams must see past the body, and a free cell beside the
+    robot's own.
     """
     return max(_CELLS_SEEN * cell, robot.radius + cell)
 
@@ -176,12 +200,15 @@ def least_reach(robot: RobotSpec, cell: float) -> float:
 def short_reach(robot: RobotSpec, cell: float) -> str:
     """The words for a robot whose beams are too short for frontiers."""
     need = least_reach(robot, cell)
-    return f"the beams reach {robot.reach:.3f} m, where frontier exploration needs at least {need:.3f} m"
+    return (
+        f"the beams reach {robot.reach:.3f} m, where frontier exploration needs at least "
+        f"{need:.3f} m"
+    )
 
 
 def cut_short(path: FloatArray, distance: float) -> FloatArray:
-    """A path (k, 2) without its last ``distance`` (m), so that the robot stops where it can see the end. Keeps one
-    point.
+    """A path (k, 2) without its last ``distance`` (m), so that the robot stops where it can see the
+    end. Keeps one point.
     """
     lengths = np.hypot(*np.diff(path, axis=0).T)
     to_go = np.append(np.cumsum(lengths[::-1])[::-1], 0.0)

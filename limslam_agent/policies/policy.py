@@ -1,4 +1,6 @@
-"""The interface of a policy, from the belief of a robot to wheel speeds, and checks of what a policy answers."""
+"""The interface of a policy, from the belief of a robot to wheel speeds, and checks of what a
+policy answers.
+"""
 
 import math
 from abc import ABC, abstractmethod
@@ -42,10 +44,11 @@ class Policy(Protocol):
 
 
 class MapExplorer(ABC):
-    """A policy whose plans belong to a frame of a map, and which settles things for the map as a whole.
+    """A policy whose plans belong to a frame of a map, and which settles things for the map as a
+    whole.
 
-    A new map comes with a new frame. A map that was moved has another frame and the same number. A collision guard
-    limits the speeds that the policy wants.
+    A new map comes with a new frame. A map that was moved has another frame and the same number. A
+    collision guard limits the speeds that the policy wants.
 
     Parameters
     ----------
@@ -78,11 +81,15 @@ class MapExplorer(ABC):
         return self._collision_guard.limit_speed(belief.pose, self.wanted(belief))
 
     def wanted(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,), before the collision guard limits them. The caller has told the frame by :meth:`enter`."""
+        """Wheel speeds (2,), before the collision guard limits them. The caller has told the frame
+        by :meth:`enter`.
+        """
         return self._wheels(belief)
 
     def enter(self, belief: Belief) -> None:
-        """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""
+        """Plan anew if the frame is another one, and also forget what was settled if the map is
+        another one.
+        """
         if belief.map_number != self._map_number:
             self._map_number = belief.map_number
             self._forget_map()
@@ -118,7 +125,9 @@ def checked_action(policy: Policy, belief: Belief) -> FloatArray:
     """
     action = _numbers(answer := policy.act(belief))
     if action is None or action.shape != (2,) or not all(map(math.isfinite, action.tolist())):
-        raise _refusal(policy, "act must return two finite numbers, the left and the right wheel speed", answer)
+        raise _refusal(
+            policy, "act must return two finite numbers, the left and the right wheel speed", answer
+        )
     if not isinstance(policy.stop_reason, str | None):
         raise _refusal(policy, "stop_reason must be None or a text", policy.stop_reason)
     return action

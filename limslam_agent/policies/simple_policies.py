@@ -26,8 +26,8 @@ LAP_SPEED = 0.25
 """Cruising speed on laps, m/s."""
 # The map has grown when it has this many more known cells.
 _NEW_CELLS = 5
-# Beams between these angles (rad from ahead to the right) see a wall beside the robot. A wall farther away than _LOST
-# (m) does not count.
+# Beams between these angles (rad from ahead to the right) see a wall beside the robot. A wall
+# farther away than _LOST (m) does not count.
 _SIDE = math.radians(30.0), math.radians(120.0)
 _LOST = 0.8
 _DISTANCE = 0.25  # m, between a wall that is followed and the rim of the robot
@@ -73,16 +73,21 @@ class Laps:
             self.stop_reason = "all laps driven"
         if self.stop_reason is not None:
             return np.zeros(2)
-        action = steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, LAP_SPEED)
+        action = steer(
+            belief.pose, self._corners[self._next], belief.ranges, self._robot, LAP_SPEED
+        )
         self._progress.count(float(np.linalg.norm(self._corners[self._next] - belief.pose[:2])))
         if self._progress.is_stuck:
-            self.stop_reason = f"stopped: something is in the way to corner {self._next + 1} of the loop"
+            self.stop_reason = (
+                f"stopped: something is in the way to corner {self._next + 1} of the loop"
+            )
             return np.zeros(2)
         return action
 
 
 class ReactivePolicy(MapExplorer):
-    """Base class of policies that react to the readings and stop when the map has not grown for a while.
+    """Base class of policies that react to the readings and stop when the map has not grown for a
+    while.
 
     Parameters
     ----------
@@ -94,7 +99,9 @@ class ReactivePolicy(MapExplorer):
         Where nothing new was seen, for the stop reason.
     """
 
-    def __init__(self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str) -> None:
+    def __init__(
+        self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str
+    ) -> None:
         self._config = config or PolicyConfig()
         self._patience, self._where = patience, where
         super().__init__(robot or RobotSpec())
@@ -108,7 +115,9 @@ class ReactivePolicy(MapExplorer):
         if known > self._known + _NEW_CELLS:
             self._known, self._since = known, 0
         if self._since > math.ceil(self._patience / self.robot.control_period):
-            self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
+            self.stop_reason = (
+                f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
+            )
             return np.zeros(2)
         return self._wanted(belief)
 
@@ -120,8 +129,8 @@ class ReactivePolicy(MapExplorer):
 class WallFollower(ReactivePolicy):
     """Keeps a wall on the robot's right until there is nothing new to see.
 
-    The robot drives around a room, or around a free-standing obstacle if that is the first wall that it meets. The
-    policy uses the map only to decide when to stop.
+    The robot drives around a room, or around a free-standing obstacle if that is the first wall
+    that it meets. The policy uses the map only to decide when to stop.
 
     Parameters
     ----------
@@ -131,7 +140,8 @@ class WallFollower(ReactivePolicy):
 
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None) -> None:
         super().__init__(robot, config, 90.0, "along the wall")
-        # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed yet.
+        # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed
+        # yet.
         self._turned = 2.0 * math.pi
 
     def _wanted(self, belief: Belief) -> FloatArray:
@@ -146,7 +156,9 @@ class WallFollower(ReactivePolicy):
         speed = config.speed * min(room / 0.2, 1.0)
         if math.isfinite(away):
             self._turned = 0.0
-            return wheel_speeds(speed, float(np.clip(_GAIN * (_DISTANCE - away), -_SHARPEST, _SHARPEST)), robot)
+            return wheel_speeds(
+                speed, float(np.clip(_GAIN * (_DISTANCE - away), -_SHARPEST, _SHARPEST)), robot
+            )
         if self._turned > 1.5 * math.pi:
             return wheel_speeds(speed, 0.0, robot)
         # The wall has ended: drive around its end until another wall must appear.
@@ -155,18 +167,24 @@ class WallFollower(ReactivePolicy):
         return wheel_speeds(speed, -turn, robot)
 
     def _clearance(self, ranges: FloatArray) -> float:
-        """Sideways distance (m) between the rim and the wall that the beams of the right see. Infinite if they see no
-        wall.
+        """Sideways distance (m) between the rim and the wall that the beams of the right see.
+        Infinite if they see no wall.
         """
         robot, angles = self.robot, -self.robot.beam_angles
-        beside = (angles > _SIDE[0]) & (angles < _SIDE[1]) & np.isfinite(ranges) & (ranges < robot.too_far)
+        beside = (
+            (angles > _SIDE[0])
+            & (angles < _SIDE[1])
+            & np.isfinite(ranges)
+            & (ranges < robot.too_far)
+        )
         across = -(robot.beam_origins[:, 1] + ranges * robot.beam_directions[:, 1])[beside]
         across = across[across < _LOST]
         return float(across.min()) - robot.radius if across.size else math.inf
 
 
 class RandomPolicy(ReactivePolicy):
-    """Drives straight ahead and turns at random: in front of a wall, and otherwise after a random time.
+    """Drives straight ahead and turns at random: in front of a wall, and otherwise after a random
+    time.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
-"""Choice of the next frontier and of the path to it; a team explores apart, and a lost robot looks for its place.
+"""Choice of the next frontier and of the path to it; a team explores apart, and a lost robot looks
+for its place.
 
-The places where a lost robot may be predict what lies beyond its frontiers: free ground or walls, or nothing, where the
-earlier map knows nothing. What the robot learns by looking at a cell is the mutual information of the cell's state and
-of the place (D. Fox, W. Burgard and S. Thrun, "Active Markov localization for mobile robots", 1998). It is large where
-the likely places predict different things, or where the only likely place predicts something at all, since ground that
-the earlier map does not have may look alike.
+The places where a lost robot may be predict what lies beyond its frontiers: free ground or walls,
+or nothing, where the earlier map knows nothing. What the robot learns by looking at a cell is the
+mutual information of the cell's state and of the place (D. Fox, W. Burgard and S. Thrun, "Active
+Markov localization for mobile robots", 1998). It is large where the likely places predict different
+things, or where the only likely place predicts something at all, since ground that the earlier map
+does not have may look alike.
 """
 
 import math
@@ -22,18 +24,21 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
-# Distance (m) that the planner keeps between the robot's rim and occupied cells unless there is no other path, and
-# further distance that it keeps where there is enough space.
+# Distance (m) that the planner keeps between the robot's rim and occupied cells unless there is no
+# other path, and further distance that it keeps where there is enough space.
 _MARGIN, _CLEARANCE = 0.05, 0.15
-# In maps larger than this (m), paths stay so near to walls that several beams see them: the second number is the
-# share of the beams' reach.
+# In maps larger than this (m), paths stay so near to walls that several beams see them: the second
+# number is the share of the beams' reach.
 _LARGE, _SIGHT_SHARE = 12.0, 0.7
 _PART_WITHIN = 2.5
 _PART_WEIGHT = 2.0
 _AROUND = 0.7  # m: how far around a frontier cell the robot looks
 _STEP = 0.2  # m: between the points that are compared
 _GUESSES = 6  # number of the likeliest places that are compared
-_FREE = 0.95, 0.6  # probability that a point is free: where a place predicts that, and where nothing is known
+_FREE = (
+    0.95,
+    0.6,
+)  # probability that a point is free: where a place predicts that, and where nothing is known
 _LARGEST = 2.0  # log odds of a place: more are an overconfident likelihood
 _ENOUGH = 0.03  # mean information of a point, nats, from which on a frontier costs nothing more
 _TURN = 1.0  # m of path: cost of a frontier at the robot's side, and half of that of one behind it
@@ -60,21 +65,35 @@ class Target:
 
 
 def ways_from(
-    place: FloatArray, grid: GridView, robot: RobotSpec, *, targets: BoolArray | None = None,
-    extra: FloatArray | None = None, closed: BoolArray | None = None,
-) -> Routes:  # fmt: skip
-    """Paths of a robot from a place (2,), m, that keep away from walls, and in large maps within sight of them.
+    place: FloatArray,
+    grid: GridView,
+    robot: RobotSpec,
+    *,
+    targets: BoolArray | None = None,
+    extra: FloatArray | None = None,
+    closed: BoolArray | None = None,
+) -> Routes:
+    """Paths of a robot from a place (2,), m, that keep away from walls, and in large maps within
+    sight of them.
 
     ``targets``, ``extra`` and ``closed`` are those of :func:`~limslam_agent.grid.planner.routes`.
     """
     is_large = max(grid.values.shape) * grid.cell > _LARGE
     return routes(
-        grid, place, robot.radius + _MARGIN, _CLEARANCE, targets=targets, extra=extra, closed=closed,
+        grid,
+        place,
+        robot.radius + _MARGIN,
+        _CLEARANCE,
+        targets=targets,
+        extra=extra,
+        closed=closed,
         coast=_SIGHT_SHARE * robot.reach if is_large else math.inf,
-    )  # fmt: skip
+    )
 
 
-def next_target(belief: Belief, ignored: BoolArray, robot: RobotSpec, config: PolicyConfig) -> Target | None:
+def next_target(
+    belief: Belief, ignored: BoolArray, robot: RobotSpec, config: PolicyConfig
+) -> Target | None:
     """The frontier of least cost that can be reached. None if there is none.
 
     Parameters
@@ -109,11 +128,14 @@ def _aim(grid: GridView, cell: IntArray) -> FloatArray:
     return np.asarray(grid.centres(cell + beside).mean(axis=0))
 
 
-def separation_cost(grid: GridView, pose: FloatArray, other_poses: FloatArray, other_goals: FloatArray) -> FloatArray:
-    """Additional cost (rows, columns), m, of each cell as a goal, which makes the robots of a team separate.
+def separation_cost(
+    grid: GridView, pose: FloatArray, other_poses: FloatArray, other_goals: FloatArray
+) -> FloatArray:
+    """Additional cost (rows, columns), m, of each cell as a goal, which makes the robots of a team
+    separate.
 
-    The cost is high within 2.5 m of another robot or of its goal, and where another robot is closer than this one,
-    which is at ``pose`` (3,).
+    The cost is high within 2.5 m of another robot or of its goal, and where another robot is closer
+    than this one, which is at ``pose`` (3,).
     """
     total, own = np.zeros(grid.values.shape), _away(grid, pose)
     for place in (*other_poses, *other_goals):
@@ -129,21 +151,29 @@ def cells_near_robots(grid: GridView, other_poses: FloatArray, distance: float) 
 
 
 def nearer_to_others(grid: GridView, pose: FloatArray, other_poses: FloatArray) -> BoolArray:
-    """Cells (rows, columns) that are nearer to another robot than to this one, which is at ``pose`` (3,)."""
-    return np.asarray(np.any([_away(grid, place) < _away(grid, pose) for place in other_poses], axis=0))
+    """Cells (rows, columns) that are nearer to another robot than to this one, which is at ``pose``
+    (3,).
+    """
+    return np.asarray(
+        np.any([_away(grid, place) < _away(grid, pose) for place in other_poses], axis=0)
+    )
 
 
 def _away(grid: GridView, place: FloatArray) -> FloatArray:
-    """Distance (rows, columns), m, from the centres of all cells to a place, whose first two numbers are x and y."""
+    """Distance (rows, columns), m, from the centres of all cells to a place, whose first two
+    numbers are x and y.
+    """
     rows, columns = np.ogrid[0 : grid.values.shape[0], 0 : grid.values.shape[1]]
     x, y = grid.low[0] + (columns + 0.5) * grid.cell, grid.low[1] + (rows + 0.5) * grid.cell
     return np.asarray(np.hypot(x - place[0], y - place[1]))
 
 
 def search_cost(belief: Belief, cells: BoolArray) -> FloatArray:
-    """Additional cost (rows, columns), m, of frontier cells of a mask (rows, columns) for a lost robot; 0 otherwise.
+    """Additional cost (rows, columns), m, of frontier cells of a mask (rows, columns) for a lost
+    robot; 0 otherwise.
 
-    A cell costs more the less the robot learns there about its place, and if the robot must turn back to it.
+    A cell costs more the less the robot learns there about its place, and if the robot must turn
+    back to it.
     """
     total = np.zeros(cells.shape)
     if belief.status.level == "lost":
@@ -159,7 +189,9 @@ def _ahead(belief: Belief, cells: IntArray) -> FloatArray:
     """Cosine (n,) of the angle between the robot's heading and the direction to cells (n, 2)."""
     x, y, heading = belief.pose.tolist()
     off = belief.grid.centres(cells) - np.array([x, y])
-    return np.asarray((off @ [np.cos(heading), np.sin(heading)]) / np.maximum(np.hypot(*off.T), 1e-9))
+    return np.asarray(
+        (off @ [np.cos(heading), np.sin(heading)]) / np.maximum(np.hypot(*off.T), 1e-9)
+    )
 
 
 def _information(belief: Belief, cells: IntArray) -> FloatArray:
@@ -173,7 +205,9 @@ def _information(belief: Belief, cells: IntArray) -> FloatArray:
     # The last hypothesis is ground that the earlier map does not have.
     odds = np.exp([*(min(guess.log_odds, _LARGEST) for guess in guesses), 0.0])
     shares = (odds / odds.sum())[:, None]
-    free = np.array([*(_predicted(guess, points) for guess in guesses), np.full(len(points), _FREE[1])])
+    free = np.array(
+        [*(_predicted(guess, points) for guess in guesses), np.full(len(points), _FREE[1])]
+    )
     known = _entropy((shares * free).sum(axis=0)) - (shares * _entropy(free)).sum(axis=0)
     return np.asarray(np.where(is_new, known, 0.0).reshape(len(cells), -1).mean(axis=1))
 

@@ -1,4 +1,6 @@
-"""Exploration that ends when the walls are whole: frontiers first, and then the stretches of border without a wall."""
+"""Exploration that ends when the walls are whole: frontiers first, and then the stretches of border
+without a wall.
+"""
 
 import math
 from dataclasses import dataclass
@@ -23,21 +25,24 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
-# Steps of looking at walls. In a large building there is always another stretch, and little is gained by it.
+# Steps of looking at walls. In a large building there is always another stretch, and little is
+# gained by it.
 _MOST_STEPS = 9600
 _POINTED = math.radians(2.0)
 # Number of steps between two checks of the path and of the stretch.
 _CHECK_PERIOD = 10
 # The sweep goes beyond the ends of a stretch by this angle.
 _BEYOND = math.radians(4.0)
-# Smallest and largest turn in one step of a sweep, rad. Readings after a smaller turn are not collected.
+# Smallest and largest turn in one step of a sweep, rad. Readings after a smaller turn are not
+# collected.
 _FINEST, _COARSEST = math.radians(1.1), math.radians(5.0)
 # The readings of a sweep are at most this far apart, m, and at least so many.
 _SPACING, _FEWEST_READINGS = 0.03, 14
 
 
 def explorer(robot: RobotSpec, config: AgentConfig) -> Policy:
-    """The policy that explores until everything was seen, or until the walls are whole, as the settings say.
+    """The policy that explores until everything was seen, or until the walls are whole, as the
+    settings say.
 
     Parameters
     ----------
@@ -50,12 +55,13 @@ def explorer(robot: RobotSpec, config: AgentConfig) -> Policy:
 
 
 class WallPolicy(MapExplorer):
-    """Explores frontiers, and looks at every stretch where free ground ends and the map has no wall.
+    """Explores frontiers, and looks at every stretch where free ground ends and the map has no
+    wall.
 
-    A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the nearest place from
-    which a stretch without a wall is visible. There the robot turns slowly, so that beams sweep along the stretch. A
-    frontier that appears meanwhile is explored first. Each stretch is looked at once, and the time for all looks is
-    limited, so exploration always ends.
+    A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the
+    nearest place from which a stretch without a wall is visible. There the robot turns slowly, so
+    that beams sweep along the stretch. A frontier that appears meanwhile is explored first. Each
+    stretch is looked at once, and the time for all looks is limited, so exploration always ends.
 
     Parameters
     ----------
@@ -106,7 +112,9 @@ class WallPolicy(MapExplorer):
         return wheels
 
     def _choose(self, belief: Belief) -> None:
-        """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
+        """After the last frontier: explore a frontier that has appeared, begin the next look, or
+        stop.
+        """
         if self._frontiers.resume(belief):
             return
         border = open_border(belief, [look.view.faces for look in self._looks])
@@ -117,7 +125,11 @@ class WallPolicy(MapExplorer):
             return
         end = "all walls were looked at"
         if len(border) or any(look.is_stuck for look in self._looks):
-            end = "the time for looking at walls is over" if is_late else "some walls cannot be looked at"
+            end = (
+                "the time for looking at walls is over"
+                if is_late
+                else "some walls cannot be looked at"
+            )
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
 
 
@@ -191,8 +203,8 @@ class Look:
     path
         Path to its place (k, 2), m, as it was planned last.
     is_over, is_needless, is_stuck
-        Whether the look has ended. It has if the sweep is done, if the stretch has got its wall before (the look was
-        needless), or if the robot cannot reach the place (it is stuck).
+        Whether the look has ended. It has if the sweep is done, if the stretch has got its wall
+        before (the look was needless), or if the robot cannot reach the place (it is stuck).
     """
 
     def __init__(self, view: View, robot: RobotSpec, config: PolicyConfig) -> None:
@@ -217,7 +229,10 @@ class Look:
         if self.is_over:
             return np.zeros(2)
         if step is None:
-            self._sweep, self._progress = sweep_along(self.view, belief.pose, self._robot), Progress()
+            self._sweep, self._progress = (
+                sweep_along(self.view, belief.pose, self._robot),
+                Progress(),
+            )
             return np.zeros(2)
         wheels, left = step
         self._progress.count(left)
@@ -225,7 +240,9 @@ class Look:
         return wheels
 
     def _check(self, belief: Belief) -> None:
-        """Plan the path anew, and end if the stretch has got its wall or there is no path any more."""
+        """Plan the path anew, and end if the stretch has got its wall or there is no path any
+        more.
+        """
         self._until_check = _CHECK_PERIOD
         path = path_to(belief, self.view.stand, self._robot)
         self.is_needless = not is_unfinished(belief, self.view)
@@ -240,7 +257,10 @@ class Look:
             return turn_by(error, self._robot)
         if self._is_pointing:
             self._is_pointing, self._progress = False, Progress()
-        elif sweep.left(heading) < _POINTED or idle > 3.0 * abs(sweep.end - sweep.start) / sweep.step + PATIENCE:
+        elif (
+            sweep.left(heading) < _POINTED
+            or idle > 3.0 * abs(sweep.end - sweep.start) / sweep.step + PATIENCE
+        ):
             self.is_over = True
             return np.zeros(2)
         rate = min(sweep.step / self._robot.control_period, TURN_RATE)

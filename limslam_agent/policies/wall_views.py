@@ -1,4 +1,6 @@
-"""Choice of the next stretch of border without a wall, and of the place from which beams can sweep along it."""
+"""Choice of the next stretch of border without a wall, and of the place from which beams can sweep
+along it.
+"""
 
 import math
 from collections.abc import Sequence
@@ -22,20 +24,24 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
-# A stretch is looked at in parts. This is the largest distance (m) of a face from the middle of its part.
+# A stretch is looked at in parts. This is the largest distance (m) of a face from the middle of its
+# part.
 _PART = 0.4
 _SHORTEST = 0.15  # m of border without a wall that the robot looks at
 # Faces this close (m), that look the same way, are one place of the border.
 _SAME_FACE = 0.12
-# Cosine of the least steep angle at which a beam may meet the middle of a part, and the other faces of the part.
+# Cosine of the least steep angle at which a beam may meet the middle of a part, and the other faces
+# of the part.
 _STEEP, _GRAZING = 0.6, 0.3
-# Costs (m of path) of one metre besides the best distance, and of a beam that meets the wall at a slant.
+# Costs (m of path) of one metre besides the best distance, and of a beam that meets the wall at a
+# slant.
 _OFF_DISTANCE, _SLANT = 2.0, 1.0
 # Distance (m) between the robot's rim and the nearest occupied cell at a place where it turns.
 _ROOM = 0.03
 # Farthest share of the beams' reach that is used.
 _FAR_SHARE = 0.7
-# Number of pairs of a place and a face that are tested for a free sight at once, and number of points of a sight.
+# Number of pairs of a place and a face that are tested for a free sight at once, and number of
+# points of a sight.
 _BATCH, _SIGHT_POINTS = 256, 16
 # Number of views of one face that are computed before the face is left alone.
 _MOST_VIEWS = 3
@@ -61,7 +67,9 @@ class View:
         return float(np.hypot(*np.ptp(self.faces.middles, axis=0))) + self.cell
 
     def bearings(self, place: FloatArray) -> tuple[float, float]:
-        """Direction in which the part begins, seen from a place (2,), m, and the angle that it fills, rad."""
+        """Direction in which the part begins, seen from a place (2,), m, and the angle that it
+        fills, rad.
+        """
         offset = self.faces.middles - place
         middle = self.middle - place
         centre = math.atan2(middle[1], middle[0])
@@ -71,7 +79,9 @@ class View:
 
 
 def unfinished_border(belief: Belief) -> Faces:
-    """The faces without a wall around the ground that the robot can reach, in stretches that are long enough."""
+    """The faces without a wall around the ground that the robot can reach, in stretches that are
+    long enough.
+    """
     grid = belief.grid
     faces = border_faces(grid, reachable_ground(grid, belief.pose[:2]))
     faces = faces.select(unfinished_faces(faces, belief.segments, grid.cell))
@@ -84,7 +94,9 @@ def is_unfinished(belief: Belief, view: View) -> bool:
 
 
 def open_border(belief: Belief, looked_at: Sequence[Faces]) -> Faces:
-    """The unfinished border without the parts that were looked at, in stretches that are long enough."""
+    """The unfinished border without the parts that were looked at, in stretches that are long
+    enough.
+    """
     border = unfinished_border(belief)
     for faces in looked_at:
         border = border.select(np.logical_not(_same(border, faces).any(axis=1)))
@@ -123,11 +135,19 @@ def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec) -> FloatArray |
     row, column = (int(index) for index in cell[0])
     wanted[row, column] = True
     ways = _ways(belief, robot, wanted)
-    return belief.grid.centres(ways.path_to((row, column))) if np.isfinite(ways.cost[row, column]) else None
+    return (
+        belief.grid.centres(ways.path_to((row, column)))
+        if np.isfinite(ways.cost[row, column])
+        else None
+    )
 
 
 def _ways(belief: Belief, robot: RobotSpec, wanted: BoolArray | None = None) -> Routes:
-    taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
+    taken = (
+        cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius)
+        if len(belief.other_poses)
+        else None
+    )
     return ways_from(belief.pose[:2], belief.grid, robot, targets=wanted, closed=taken)
 
 
@@ -145,18 +165,26 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     """
     farthest = robot.radius + _FAR_SHARE * robot.reach
     # In a large map there are millions of pairs, and few of them are near.
-    pairs = cKDTree(stands).sparse_distance_matrix(cKDTree(faces.middles), farthest, output_type="ndarray")
+    pairs = cKDTree(stands).sparse_distance_matrix(
+        cKDTree(faces.middles), farthest, output_type="ndarray"
+    )
     place, face, away = pairs["i"], pairs["j"], pairs["v"]
     offset = stands[place] - faces.middles[face]
     steepness = np.sum(offset * faces.normals[face], axis=1) / np.maximum(away, 1e-9)
-    price = cost[place] + _OFF_DISTANCE * np.abs(away - best_distance(robot)) + _SLANT * (1.0 - steepness)
+    price = (
+        cost[place]
+        + _OFF_DISTANCE * np.abs(away - best_distance(robot))
+        + _SLANT * (1.0 - steepness)
+    )
     is_seen = steepness >= _STEEP
     order = np.lexsort((face[is_seen], place[is_seen], price[is_seen]))
     return np.asarray(np.column_stack((place, face))[is_seen][order])
 
 
 def best_distance(robot: RobotSpec) -> float:
-    """Distance (m) from the middle of the robot at which a wall is best looked at: near, but with space to turn."""
+    """Distance (m) from the middle of the robot at which a wall is best looked at: near, but with
+    space to turn.
+    """
     return robot.radius + min(0.35, 0.4 * robot.reach)
 
 

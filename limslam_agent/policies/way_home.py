@@ -12,14 +12,15 @@ from limslam_env.interface import RobotSpec
 
 # Steps without progress after which the robot gives up. It has seen its surroundings anew by then.
 _MOST_IDLE = 4 * PATIENCE
-_LONGER = 5  # points: a way home with so many more than any before is another way, on which progress begins anew
+# points: a way home with so many more than any before is another way, on which progress begins anew
+_LONGER = 5
 
 
 class WayHome(MapExplorer):
     """A policy, and after it the way back to the start.
 
-    While the robot is lost, the way is not known. The policy drives then, so that the robot sees the places by which
-    it is found again.
+    While the robot is lost, the way is not known. The policy drives then, so that the robot sees
+    the places by which it is found again.
 
     Parameters
     ----------
@@ -66,7 +67,9 @@ class WayHome(MapExplorer):
         wheels, reason = self._policy.act(belief), self._policy.stop_reason
         self.plan, self._way, self._longest = self._policy.plan, None, 0
         if reason is not None and self.is_going_home:
-            self.stop_reason = f"{self._why}; the robot is lost, and does not know the way back to the start"
+            self.stop_reason = (
+                f"{self._why}; the robot is lost, and does not know the way back to the start"
+            )
         elif reason is not None and self._always:
             self._why, self.is_going_home, self.plan = reason, True, NO_PLAN
         else:

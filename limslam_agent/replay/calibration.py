@@ -1,7 +1,8 @@
 """The constant bias of a log's odometry, estimated from known motions.
 
-The odometry of a real robot has constant errors: one wheel is larger than the other, and the wheels differ from their
-nominal size. The errors are estimated from a short run with known motions (relations), and hold for later runs.
+The odometry of a real robot has constant errors: one wheel is larger than the other, and the wheels
+differ from their nominal size. The errors are estimated from a short run with known motions
+(relations), and hold for later runs.
 """
 
 import math
@@ -18,11 +19,14 @@ from limslam_env.geometry import FloatArray, se2
 from limslam_env.messages import counted
 
 LONGEST_DRIVE = 20.0
-"""Relations over more driving (m) than this are left out: they overlap, and one slip would count in many of them."""
+"""Relations over more driving (m) than this are left out: they overlap, and one slip would count in
+many of them.
+"""
 
 # What a measured relation itself may be off by: m, rad.
 _MEASURED_WITHIN = 0.02, math.radians(0.5)
-# Residuals past this many standard deviations count linearly (Huber): a wheel that slipped is no bias.
+# Residuals past this many standard deviations count linearly (Huber): a wheel that slipped is no
+# bias.
 _HUBER = 1.5
 _LARGEST_SCALE = 2.0
 
@@ -59,15 +63,19 @@ class OdometryBias:
         """A line for the terminal."""
         turn = f"{math.degrees(self.turn_per_metre):.3f} +- {math.degrees(self.turn_std):.3f} deg/m"
         scale = f"scale {self.distance_scale:.4f} +- {self.scale_std:.4f}"
-        return f"{turn}, {scale}, from {counted(self.relations, 'relation')} over {self.driven:.1f} m"
+        return (
+            f"{turn}, {scale}, from {counted(self.relations, 'relation')} over {self.driven:.1f} m"
+        )
 
 
-def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig | None = None) -> OdometryBias:
+def estimate_bias(
+    log: RecordedLog, relations: Relations, noise: OdometryConfig | None = None
+) -> OdometryBias:
     """Fit turn per metre and distance scale to known motions, by least squares.
 
-    Both are linear: the heading's error grows with the distance driven whatever the scale is, and lengths, once the
-    turn is put right, grow with the scale. Each relation is weighted by the variance that odometry has gathered over
-    it.
+    Both are linear: the heading's error grows with the distance driven whatever the scale is, and
+    lengths, once the turn is put right, grow with the scale. Each relation is weighted by the
+    variance that odometry has gathered over it.
 
     Parameters
     ----------
@@ -89,10 +97,15 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
     path = _Path(log.time, log.odometry)
     inside = relations.within(log.time)
     near = inside & (np.abs(path.between(path.driven, relations)) <= LONGEST_DRIVE)
-    known = Relations(relations.start_time[near], relations.end_time[near], relations.relative[near])
+    known = Relations(
+        relations.start_time[near], relations.end_time[near], relations.relative[near]
+    )
     driven = np.abs(path.between(path.driven, known))
     if not driven.any():
-        usable = f"{len(driven)} of {len(inside)} relations lie in the log and are over less than {LONGEST_DRIVE:g} m"
+        usable = (
+            f"{len(driven)} of {len(inside)} relations lie in the log and are over less than "
+            f"{LONGEST_DRIVE:g} m"
+        )
         raise ValueError(f"nothing is driven in them: {usable}")
     heading_variance = (
         noise.turn_variance_per_metre * driven
@@ -100,15 +113,24 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
         + _MEASURED_WITHIN[1] ** 2
     )
     turn, turn_std = _fit(
-        path.between(path.signed, known), known.relative[:, 2] - path.between(path.heading, known), heading_variance,
+        path.between(path.signed, known),
+        known.relative[:, 2] - path.between(path.heading, known),
+        heading_variance,
         angles=True,
-    )  # fmt: skip
+    )
     # A heading that is off bends a way of length d aside by d / sqrt(3), rms.
-    length_variance = noise.distance_variance * driven + heading_variance * driven**2 / 3.0 + _MEASURED_WITHIN[0] ** 2
+    length_variance = (
+        noise.distance_variance * driven
+        + heading_variance * driven**2 / 3.0
+        + _MEASURED_WITHIN[0] ** 2
+    )
     lengths = np.hypot(*known.relative[:, :2].T)
     scale, scale_std = _fit(path.lengths(known, turn), lengths, length_variance, angles=False)
     if not 1.0 / _LARGEST_SCALE <= scale <= _LARGEST_SCALE:
-        raise ValueError(f"the relations are {scale:.3g} times as long as odometry has them: they are of another run")
+        raise ValueError(
+            f"the relations are {scale:.3g} times as long as odometry has them: they are of "
+            "another run"
+        )
     return OdometryBias(turn, scale, turn_std, scale_std, len(driven), float(driven.sum()))
 
 
@@ -136,7 +158,8 @@ class _Path:
         self._steps = se2.between(self._odometry[:-1], self._odometry[1:])
         length = np.hypot(self._steps[:, 0], self._steps[:, 1])
         self.driven = _sums(length)
-        # As in motion_from_odometry: what the heading misses a metre unwinds when driving backwards.
+        # As in motion_from_odometry: what the heading misses a metre unwinds when driving
+        # backwards.
         self.signed = _sums(np.copysign(length, self._steps[:, 0]))
         self.turned = _sums(np.abs(self._steps[:, 2]))
         self.heading = _sums(self._steps[:, 2])
@@ -146,7 +169,9 @@ class _Path:
         return self._at(sums, relations.end_time) - self._at(sums, relations.start_time)
 
     def lengths(self, relations: Relations, turn_per_metre: float) -> FloatArray:
-        """Straight distance (k,), m, between the two ends of each relation, with the turn put right."""
+        """Straight distance (k,), m, between the two ends of each relation, with the turn put
+        right.
+        """
         heading = (self.heading + turn_per_metre * self.signed)[:-1]
         cos, sin = np.cos(heading), np.sin(heading)
         x = _sums(cos * self._steps[:, 0] - sin * self._steps[:, 1])
@@ -157,8 +182,12 @@ class _Path:
         return np.interp(when, self.time, values)
 
 
-def _fit(reported: FloatArray, known: FloatArray, variance: FloatArray, *, angles: bool) -> tuple[float, float]:
-    """The factor f with known = f * reported (k,), and its standard deviation: least squares with Huber's weights."""
+def _fit(
+    reported: FloatArray, known: FloatArray, variance: FloatArray, *, angles: bool
+) -> tuple[float, float]:
+    """The factor f with known = f * reported (k,), and its standard deviation: least squares with
+    Huber's weights.
+    """
 
     def residuals(factor: FloatArray) -> FloatArray:
         rest = known - factor * reported

@@ -1,8 +1,10 @@
-"""The estimate while a log is replayed: by the filter, and by the online graph once the filter is lost.
+"""The estimate while a log is replayed: by the filter, and by the online graph once the filter is
+lost.
 
-The filter is far better than the graph where its model holds: walls are straight, beams are short, and odometry is as
-noisy as stated. Once it is lost in a log of odometry poses, it does not find its place again. The online graph goes on
-then. Up to that event, the graph has processed the same events beside the filter.
+The filter is far better than the graph where its model holds: walls are straight, beams are short,
+and odometry is as noisy as stated. Once it is lost in a log of odometry poses, it does not find its
+place again. The online graph goes on then. Up to that event, the graph has processed the same
+events beside the filter.
 """
 
 import time
@@ -24,7 +26,9 @@ if TYPE_CHECKING:
     from limslam_agent.slam.online_graph.online_graph import OnlineGraph
 
 
-_MOST_STD = 0.3  # m: the position is then more than 0.5 m off with a chance of exp(-(0.5 / 0.3)^2), 6 %
+_MOST_STD = (
+    0.3  # m: the position is then more than 0.5 m off with a chance of exp(-(0.5 / 0.3)^2), 6 %
+)
 
 
 class Estimate(NamedTuple):
@@ -41,12 +45,15 @@ class Estimate(NamedTuple):
 
 
 def is_handed_over(log: RecordedLog, config: AgentConfig, status: Status) -> bool:
-    """Whether the online graph takes over from the filter with this status in the replay of a log."""
+    """Whether the online graph takes over from the filter with this status in the replay of a
+    log.
+    """
     return log.odometry is not None and config.smoothing is not None and status.level == "lost"
 
 
 class LogEstimate:
-    """What the filter of a mapper believes until it is lost, and, in a log of poses, the online graph from then on.
+    """What the filter of a mapper believes until it is lost, and, in a log of poses, the online
+    graph from then on.
 
     Attributes
     ----------
@@ -71,11 +78,17 @@ class LogEstimate:
 
     @property
     def status(self) -> Status:
-        """Whether the pose can be trusted: by the filter, or by the covariance of the online graph."""
+        """Whether the pose can be trusted: by the filter, or by the covariance of the online
+        graph.
+        """
         if self._graph is None or self.handed_over is None:
             return self._mapper.statuses[0]
         std = self._graph.position_std
-        return Status("unsure", f"the position in the map may be {std:.1f} m off") if std > _MOST_STD else Status()
+        return (
+            Status("unsure", f"the position in the map may be {std:.1f} m off")
+            if std > _MOST_STD
+            else Status()
+        )
 
     @property
     def places(self) -> PlaceHistory:
@@ -94,13 +107,19 @@ class LogEstimate:
             mapper.step(observation)
             self._odometry, spent = np.asarray(mapper.odometry[0]), mapper.slam_ms
         else:
-            motion = motion_of(observation, mapper.robot, mapper.config.noise, mapper.config.odometry)
+            motion = motion_of(
+                observation, mapper.robot, mapper.config.noise, mapper.config.odometry
+            )
             self._odometry = compose(self._odometry, motion.increment)
-            self._refused += int(np.count_nonzero(~(np.asarray(observation.get("ranges", ())) >= 0.0)))
+            self._refused += int(
+                np.count_nonzero(~(np.asarray(observation.get("ranges", ())) >= 0.0))
+            )
         self._number += 1
         if graph is not None:
             begin, data, number = time.perf_counter(), self._data, self._number
-            graph.step(float(data.time[number]), self._odometry, data.ranges[number], data.hit[number])
+            graph.step(
+                float(data.time[number]), self._odometry, data.ranges[number], data.hit[number]
+            )
             job = graph.job_ms
             spent += 1e3 * (time.perf_counter() - begin) - job
             if self.handed_over is None and is_handed_over(self._log, mapper.config, self.status):
@@ -109,4 +128,6 @@ class LogEstimate:
             pose, covariance = mapper.slam.pose, mapper.covariances[0]
         else:
             pose, covariance = graph.pose, graph.covariance
-        return Estimate(pose, covariance, self._odometry, LEVELS.index(self.status.level), spent, job)
+        return Estimate(
+            pose, covariance, self._odometry, LEVELS.index(self.status.level), spent, job
+        )

@@ -1,9 +1,10 @@
 """Whether the ranges of a log fit its odometry better if the log is read in another way.
 
-A wrong order of the beams, a laser that is mounted backwards, exchanged wheels, or a heading that counts clockwise
-makes a map that is wrong everywhere, and nothing in the log says so. But what is seen next then does not fit what was
-seen just before, and it does if the log is read rightly. On ``csail`` and ``fr079`` the mean score of this comparison
-is 0.35 to 0.49 with four to six beams, and 0.18 to 0.30 for logs that were read wrongly.
+A wrong order of the beams, a laser that is mounted backwards, exchanged wheels, or a heading that
+counts clockwise makes a map that is wrong everywhere, and nothing in the log says so. But what is
+seen next then does not fit what was seen just before, and it does if the log is read rightly. On
+``csail`` and ``fr079`` the mean score of this comparison is 0.35 to 0.49 with four to six beams,
+and 0.18 to 0.30 for logs that were read wrongly.
 """
 
 from dataclasses import replace
@@ -19,7 +20,8 @@ from limslam_env.geometry import FloatArray
 _MOST_PLACES = 60
 _WINDOW = Window(0.2, np.radians(4.0), np.radians(2.0))
 _FEWEST_PLACES = 10  # fewer comparisons than these say nothing
-# Another reading is better if its mean score leads by this, and by so many standard errors of the difference.
+# Another reading is better if its mean score leads by this, and by so many standard errors of the
+# difference.
 _LEAST_LEAD, _LEAST_SIGMAS = 0.08, 2.5
 
 
@@ -48,7 +50,9 @@ def _places(data: LogData, config: GraphConfig) -> list[int]:
     """Events at which what is seen next is compared with what was seen before."""
     travel = LocalViews(data, config, _WINDOW).travel
     apart = max(AFTER, travel[-1] / _MOST_PLACES)
-    return [int(each) for each in np.searchsorted(travel, np.arange(BEFORE, travel[-1] - AFTER, apart))]
+    return [
+        int(each) for each in np.searchsorted(travel, np.arange(BEFORE, travel[-1] - AFTER, apart))
+    ]
 
 
 def _scores(data: LogData, places: list[int], config: GraphConfig) -> FloatArray:
@@ -65,28 +69,50 @@ def _score(views: LocalViews, place: int) -> float:
     return score if score > NO_MATCH else np.nan
 
 
-def _read(data: LogData, beams: tuple[float, float], odometry: tuple[float, float, float]) -> LogData:
+def _read(
+    data: LogData, beams: tuple[float, float], odometry: tuple[float, float, float]
+) -> LogData:
     """The log with signs of x and y of its beams, and of x, y and heading of its odometry."""
     x, y = beams
     angles = np.arctan2(y * np.sin(data.angles), x * np.cos(data.angles))
-    return replace(data, angles=angles, origins=data.origins * beams, odometry=data.odometry * odometry)
+    return replace(
+        data, angles=angles, origins=data.origins * beams, odometry=data.odometry * odometry
+    )
 
 
 _KEPT = (1.0, 1.0, 1.0)
 _LOOKING_BACK = {
-    "if the beams look the other way: is the sensor mounted backwards, or ahead negative?": ((-1.0, -1.0), _KEPT)
+    "if the beams look the other way: is the sensor mounted backwards, or ahead negative?": (
+        (-1.0, -1.0),
+        _KEPT,
+    )
 }
 # Other ways to read a log, by the question to its owner: signs as in ``_read``.
 _OF_POSES = {
-    "with left and right exchanged: are the beams in the wrong order, or is odometry mirrored?": ((1.0, -1.0), _KEPT),
+    "with left and right exchanged: are the beams in the wrong order, or is odometry mirrored?": (
+        (1.0, -1.0),
+        _KEPT,
+    ),
     **_LOOKING_BACK,
-    "with a heading of the other sign: does the heading of odometry count clockwise?": ((1.0, 1.0), (1.0, 1.0, -1.0)),
-    "with y of the other sign: does y of odometry point to the right?": ((1.0, 1.0), (1.0, -1.0, 1.0)),
+    "with a heading of the other sign: does the heading of odometry count clockwise?": (
+        (1.0, 1.0),
+        (1.0, 1.0, -1.0),
+    ),
+    "with y of the other sign: does y of odometry point to the right?": (
+        (1.0, 1.0),
+        (1.0, -1.0, 1.0),
+    ),
 }
-# A robot whose wheels are exchanged drives the mirrored path. One whose encoders count backwards drives the path that
-# is mirrored across its axle.
+# A robot whose wheels are exchanged drives the mirrored path. One whose encoders count backwards
+# drives the path that is mirrored across its axle.
 _OF_WHEELS = {
-    "with left and right exchanged: are the wheels exchanged, or the beams in the wrong order?": ((1.0, -1.0), _KEPT),
+    "with left and right exchanged: are the wheels exchanged, or the beams in the wrong order?": (
+        (1.0, -1.0),
+        _KEPT,
+    ),
     **_LOOKING_BACK,
-    "with ahead and back exchanged: do the encoders of both wheels count backwards?": ((-1.0, 1.0), _KEPT),
+    "with ahead and back exchanged: do the encoders of both wheels count backwards?": (
+        (-1.0, 1.0),
+        _KEPT,
+    ),
 }

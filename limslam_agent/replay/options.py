@@ -14,7 +14,8 @@ def numbers(option: str, text: str, count: int | None = None, low: float = -1e6)
     Raises
     ------
     ValueError
-        If it is no such list, has not ``count`` of them, or one is below ``low`` or out of all bounds.
+        If it is no such list, has not ``count`` of them, or one is below ``low`` or out of all
+        bounds.
     """
     try:
         values = [float(part) for part in text.split(",")]
@@ -27,7 +28,9 @@ def numbers(option: str, text: str, count: int | None = None, low: float = -1e6)
     return values
 
 
-def odometry_config(noise: str | None, bias: str | None, odometry: OdometryConfig | None = None) -> OdometryConfig:
+def odometry_config(
+    noise: str | None, bias: str | None, odometry: OdometryConfig | None = None
+) -> OdometryConfig:
     """The settings in ``--odometry-noise`` and ``--odometry-bias``.
 
     Parameters
@@ -54,13 +57,16 @@ def odometry_config(noise: str | None, bias: str | None, odometry: OdometryConfi
     if bias is not None:
         turn, scale = numbers("--odometry-bias", bias if "," in bias else f"{bias},1", 2)
         if not 0.01 <= scale <= 100.0:
-            raise ValueError(f"--odometry-bias: the scale must lie between 0.01 and 100, not {scale:g}")
+            raise ValueError(
+                f"--odometry-bias: the scale must lie between 0.01 and 100, not {scale:g}"
+            )
         odometry = replace(odometry, turn_bias=math.radians(turn), distance_scale=scale)
     return odometry
 
 
 def chosen_topics(text: str | None) -> Topics:
-    """The topics in ``--topics``, each with the direction (deg) after its colon: a number or a word like ``left``.
+    """The topics in ``--topics``, each with the direction (deg) after its colon: a number or a word
+    like ``left``.
 
     Raises
     ------

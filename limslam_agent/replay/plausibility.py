@@ -1,4 +1,6 @@
-"""Warnings about a replayed log whose numbers are possible but unlikely, such as ranges in another unit."""
+"""Warnings about a replayed log whose numbers are possible but unlikely, such as ranges in another
+unit.
+"""
 
 import math
 
@@ -10,32 +12,53 @@ from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.messages import counted
 
-_MOSTLY_NOTHING = 0.95  # share of readings that saw nothing, above which the ranges are probably not in metres
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-3, 10.0  # s: median times between events beyond them are probably not in seconds
-_CLEARLY_BELOW = 0.85  # of the longest range: a smaller largest reading was probably cut off by the sensor itself
-# Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range right after a
-# reading of something farther away, without a reason that all of them have.
+_MOSTLY_NOTHING = (
+    0.95  # share of readings that saw nothing, above which the ranges are probably not in metres
+)
+_SHORTEST_PERIOD, _LONGEST_PERIOD = (
+    1e-3,
+    10.0,
+)  # s: median times between events beyond them are probably not in seconds
+# of the longest range: a smaller largest reading was probably cut off by the sensor itself
+_CLEARLY_BELOW = 0.85
+# Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range
+# right after a reading of something farther away, without a reason that all of them have.
 _BY_CHANCE = 0.01
-# Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than this: otherwise the path
-# between the rows is not known, or the sensor reports 0 where it sees nothing.
+# Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than
+# this: otherwise the path between the rows is not known, or the sensor reports 0 where it sees
+# nothing.
 _LARGEST_STEP = 0.5
 _LEAST_DRIVEN = 1.0  # m of driving, below which walls cannot be expected
-_FASTEST = 20.0  # m/s: a robot that is faster on average has odometry in another unit, or times in another unit
-# If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
-# 0.4 to 0.7 rad/m.
+# m/s: a robot that is faster on average has odometry in another unit, or times in another unit
+_FASTEST = 20.0
+# If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both
+# benchmark logs have 0.4 to 0.7 rad/m.
 _MOST_TURNS = 4.0
-_LEAST_ALIGNED = 0.5  # a robot with wheels drives along its heading: 1. It is 0 where the heading is in another unit
+# a robot with wheels drives along its heading: 1. It is 0 where the heading is in another unit
+_LEAST_ALIGNED = 0.5
 _MOST_NAMED = 5  # times in a warning
-_CLEARLY_FASTER = 1.2  # a wheel with this many times its largest speed on average may have travel in another unit
-_MANY_NOTHING = 0.3  # share of readings of the other beams that saw nothing, above which a beam may never see a wall
-_LEAST_SPREAD = 0.5  # m: if the middle half of the readings of a beam has a wider range, the robot has moved
+_CLEARLY_FASTER = (
+    1.2  # a wheel with this many times its largest speed on average may have travel in another unit
+)
+# share of readings of the other beams that saw nothing, above which a beam may never see a wall
+_MANY_NOTHING = 0.3
+_LEAST_SPREAD = (
+    0.5  # m: if the middle half of the readings of a beam has a wider range, the robot has moved
+)
 
 
 def log_warnings(log: RecordedLog) -> list[str]:
-    """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
+    """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each
+    finding.
+    """
     about_clock = _about_clock(log)
     about_odometry = [] if about_clock else _about_odometry(log)
-    about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log), *_about_beams(log)]
+    about_ranges = [
+        *_about_ranges(log),
+        *_about_zeros(log),
+        *_about_negatives(log),
+        *_about_beams(log),
+    ]
     return [*_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
 
 
@@ -49,7 +72,9 @@ def map_warnings(replay: Replay) -> list[str]:
 def _about_times(log: RecordedLog) -> list[str]:
     found = []
     if log.shifted:
-        found.append(f"the times begin at {-log.shifted:g} s; {log.shifted:g} s were added to all of them")
+        found.append(
+            f"the times begin at {-log.shifted:g} s; {log.shifted:g} s were added to all of them"
+        )
     if log.untimed:
         were = "were" if log.untimed > 1 else "was"
         found.append(f"{counted(log.untimed, 'line')} with a negative time {were} left out")
@@ -59,11 +84,21 @@ def _about_times(log: RecordedLog) -> list[str]:
 def _about_clock(log: RecordedLog) -> list[str]:
     steps = np.diff(log.time)
     if len(steps) > 1 and not (steps > 0.0).any():
-        return ["the times never rise: does the clock stand still, or does the log begin with its newest row?"]
+        return [
+            (
+                "the times never rise: does the clock stand still, or does the log begin with its "
+                "newest row?"
+            )
+        ]
     steps = steps[steps > 0.0]
     if not len(steps) or _SHORTEST_PERIOD <= (period := float(np.median(steps))) <= _LONGEST_PERIOD:
         return []
-    return [f"the median time between two events is {period:.3g} s: are the times in seconds? --time-unit converts"]
+    return [
+        (
+            f"the median time between two events is {period:.3g} s: are the times in seconds? "
+            "--time-unit converts"
+        )
+    ]
 
 
 def _about_gaps(log: RecordedLog) -> list[str]:
@@ -71,7 +106,10 @@ def _about_gaps(log: RecordedLog) -> list[str]:
         return []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
     (rows,) = np.nonzero(travel > _LARGEST_STEP)
-    gaps = [f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s" for row in rows]
+    gaps = [
+        f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s"
+        for row in rows
+    ]
     more = ", ..." if len(gaps) > _MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
     return [f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}"] if gaps else []
@@ -83,11 +121,16 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         return []
     reach = float(log.robot.max_ranges.max())
     if share > _MOSTLY_NOTHING:
-        text = f"{share:.1%} of the readings saw nothing up to {reach:g} m: are the ranges in metres?"
+        text = (
+            f"{share:.1%} of the readings saw nothing up to {reach:g} m: are the ranges in metres?"
+        )
         return [f"{text} --range-unit converts"]
     farthest = float(near.max(initial=0.0))
     if share > _BY_CHANCE and farthest < _CLEARLY_BELOW * reach:
-        numbers = f"the longest range is {reach:g} m, but the largest reading of a wall is {farthest:.2f} m"
+        numbers = (
+            f"the longest range is {reach:g} m, but the largest reading of a wall is "
+            f"{farthest:.2f} m"
+        )
         effect = f"the {share:.0%} of the readings that saw nothing clear space that was not seen"
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
         return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
@@ -98,7 +141,10 @@ def _about_negatives(log: RecordedLog) -> list[str]:
     share = log.negative / max(log.ranges.size, 1)
     if share <= _BY_CHANCE:
         return []
-    text = f"{share:.0%} of the readings are negative and were skipped: if the sensors report them where they see"
+    text = (
+        f"{share:.0%} of the readings are negative and were skipped: if the sensors report them "
+        "where they see"
+    )
     return [f"{text} nothing, --zero-is-nothing reads them in a table as that"]
 
 
@@ -108,21 +154,35 @@ def _about_zeros(log: RecordedLog) -> list[str]:
     share = float(sudden.mean()) if sudden.size else 0.0
     if share <= _BY_CHANCE:
         return []
-    text = f"{share:.1%} of the readings jump from more than {_LARGEST_STEP:g} m to the beam's shortest range or to 0"
-    remedy = "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be changed"
+    text = (
+        f"{share:.1%} of the readings jump from more than {_LARGEST_STEP:g} m to the beam's "
+        "shortest range or to 0"
+    )
+    remedy = (
+        "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be "
+        "changed"
+    )
     return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
 
 def _about_beams(log: RecordedLog) -> list[str]:
-    """Beams that always say the same or nothing, although the readings of another one show that the robot has moved."""
+    """Beams that always say the same or nothing, although the readings of another one show that the
+    robot has moved.
+    """
     if _spread(log) < _LEAST_SPREAD:
         return []
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
-    lowest, highest = np.fmin.reduce(readings), np.fmax.reduce(readings)  # nan where a beam has no reading
+    lowest, highest = (
+        np.fmin.reduce(readings),
+        np.fmax.reduce(readings),
+    )  # nan where a beam has no reading
     counts = (~np.isnan(readings)).sum(axis=0)
     is_dead, saw_nothing = highest == lowest, lowest >= log.robot.too_far
     others = readings[:, ~saw_nothing]
-    if np.count_nonzero(others >= log.robot.too_far[~saw_nothing]) > _MANY_NOTHING * np.isfinite(others).sum():
+    if (
+        np.count_nonzero(others >= log.robot.too_far[~saw_nothing])
+        > _MANY_NOTHING * np.isfinite(others).sum()
+    ):
         is_dead &= ~saw_nothing
     is_dead |= counts == 0
     if not is_dead.any():
@@ -134,7 +194,9 @@ def _about_beams(log: RecordedLog) -> list[str]:
         else "has no reading"
         for nothing, low, count in zip(saw_nothing, lowest, counts, strict=True)
     ]
-    which = ", ".join(f"the beam at {angles[beam]} deg {said[beam]}" for beam in np.nonzero(is_dead)[0])
+    which = ", ".join(
+        f"the beam at {angles[beam]} deg {said[beam]}" for beam in np.nonzero(is_dead)[0]
+    )
     kept = ",".join(angle for angle, dead in zip(angles, is_dead, strict=True) if not dead)
     return [f"{which}: is its sensor connected? --beams={kept} leaves it out"]
 
@@ -147,33 +209,54 @@ def _about_odometry(log: RecordedLog) -> list[str]:
         spread = _spread(log)
         if spread < _LEAST_SPREAD:
             return []
-        text = f"by odometry the robot stays within {reach:.2f} m, but its readings change by {spread:.2f} m"
+        text = (
+            f"by odometry the robot stays within {reach:.2f} m, but its readings change by "
+            f"{spread:.2f} m"
+        )
         return [f"{text}: is odometry missing, or not in metres?"]
     driven = float(np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum())
     speed = driven / max(float(np.ptp(log.time)), 1e-9)
     if speed > _FASTEST:
-        return [f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"]
+        return [
+            f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"
+        ]
     per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
     if per_metre > _MOST_TURNS and _alignment(log.odometry) < _LEAST_ALIGNED:
-        return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
+        turns = f"by odometry the robot turns by {per_metre:.1f} rad on each metre"
+        return [f"{turns}: is its heading in radians?"]
     return _misread(log, log.odometry)
 
 
 def _alignment(odometry: FloatArray) -> float:
-    """How well the direction of driving follows the heading of poses (n, 3), ahead or back, from 0 to 1."""
+    """How well the direction of driving follows the heading of poses (n, 3), ahead or back, from 0
+    to 1.
+    """
     moves = np.diff(odometry[:, :2], axis=0)
     turned = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
-    return float(abs(np.sum(np.hypot(*moves.T) * np.exp(2j * turned))) / max(float(np.hypot(*moves.T).sum()), 1e-9))
+    return float(
+        abs(np.sum(np.hypot(*moves.T) * np.exp(2j * turned)))
+        / max(float(np.hypot(*moves.T).sum()), 1e-9)
+    )
 
 
 def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
-    """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, how fast, and which way."""
+    """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, how fast, and
+    which way.
+    """
     left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
     if left == right == 0.0:
-        return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
+        return [
+            (
+                "the wheels never move: are the encoders connected, and are left and right their "
+                "columns?"
+            )
+        ]
     speed, most = max(left, right) / max(float(np.ptp(log.time)), 1e-9), log.robot.max_wheel_speed
     if speed > _CLEARLY_FASTER * most:
-        text = f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is {most:g} m/s"
+        text = (
+            f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is "
+            f"{most:g} m/s"
+        )
         question = "are left and right travel, not speeds, and are the metres for each tick right?"
         return [f"{text}: {question} If the robot is so fast, set max_wheel_speed in its file"]
     if min(left, right) == 0.0 and max(left, right) >= _LEAST_DRIVEN:
@@ -185,7 +268,9 @@ def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
 
 
 def _path(wheels: FloatArray, axle: float) -> FloatArray:
-    """The poses (n, 3) by wheel travel (n, 2), m, alone. What was travelled before the first row says nothing."""
+    """The poses (n, 3) by wheel travel (n, 2), m, alone. What was travelled before the first row
+    says nothing.
+    """
     start = np.zeros(3)
     return np.vstack((start, se2.driven(wheels[1:], axle, start)))
 
@@ -210,7 +295,9 @@ def _spread(log: RecordedLog) -> float:
 
 
 def _seen(log: RecordedLog) -> tuple[FloatArray, float]:
-    """Readings of walls (k,), m, and the share of readings that saw nothing. NaN where there are no readings."""
+    """Readings of walls (k,), m, and the share of readings that saw nothing. NaN where there are no
+    readings.
+    """
     readings = log.ranges[log.has_scan].astype(np.float64)
     nothing = readings >= log.robot.too_far
     valid = np.isfinite(readings)
@@ -233,6 +320,7 @@ def _why_no_walls(replay: Replay) -> str:
     if driven < _LEAST_DRIVEN:
         return f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
     return (
-        f"the {1.0 - share:.0%} of the readings that saw something do not lie on lines. Are odometry and ranges in "
+        f"the {1.0 - share:.0%} of the readings that saw something do not lie on lines. Are "
+        "odometry and ranges in "
         "metres, and the beams' directions right? A larger --noise accepts more scatter"
     )

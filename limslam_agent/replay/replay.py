@@ -45,9 +45,11 @@ def replay_log(
     progress
         Called after each event with the number of events that are done.
     report
-        Called at the start of each stage of the smoothing with the stage in words. Smoothing can take minutes.
+        Called at the start of each stage of the smoothing with the stage in words. Smoothing can
+        take minutes.
     prior_map
-        The map of an earlier run, in which the log begins at an unknown place. Only for logs of wheel travel.
+        The map of an earlier run, in which the log begins at an unknown place. Only for logs of
+        wheel travel.
     """
     report = report or (lambda _: None)
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
@@ -70,7 +72,8 @@ def replay_log(
         segments=slam.segments,
         grid=mapper.grid,
         refused_readings=estimate.refused_readings,
-        self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
+        self_calibration=slam.odometry_calibration
+        and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         wall_clock=time.perf_counter() - begin,
         places=estimate.places,
         handed_over=estimate.handed_over,
@@ -108,13 +111,21 @@ def _smoothed(
     return replay
 
 
-def _estimated_rows(log: RecordedLog, estimate: LogEstimate, progress: Callable[[int], None]) -> dict[str, Any]:
-    """What is estimated after each event of a log, by the names of the arrays in :class:`Replay`."""
+def _estimated_rows(
+    log: RecordedLog, estimate: LogEstimate, progress: Callable[[int], None]
+) -> dict[str, Any]:
+    """What is estimated after each event of a log, by the names of the arrays in
+    :class:`Replay`.
+    """
     count = len(log)
     rows: dict[str, Any] = {
-        "estimated": np.empty((count, 3)), "covariances": np.empty((count, 3, 3)), "odometry": np.empty((count, 3)),
-        "levels": np.empty(count, dtype=np.int64), "slam_ms": np.empty(count), "job_ms": np.empty(count),
-    }  # fmt: skip
+        "estimated": np.empty((count, 3)),
+        "covariances": np.empty((count, 3, 3)),
+        "odometry": np.empty((count, 3)),
+        "levels": np.empty(count, dtype=np.int64),
+        "slam_ms": np.empty(count),
+        "job_ms": np.empty(count),
+    }
     for number, observation in enumerate(log.observations()):
         for row, value in zip(rows.values(), estimate.step(observation), strict=True):
             row[number] = value
@@ -123,8 +134,8 @@ def _estimated_rows(log: RecordedLog, estimate: LogEstimate, progress: Callable[
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
-    """Errors of relative poses against known ones: of the estimate, of corrected odometry, and of odometry as
-    recorded.
+    """Errors of relative poses against known ones: of the estimate, of corrected odometry, and of
+    odometry as recorded.
     """
     log = replay.log
     trajectories = {"": replay.estimated, "odometry_": replay.odometry}
@@ -145,8 +156,11 @@ def _hand_over(replay: Replay) -> dict[str, float]:
     return {} if event is None else {"online_graph_from_s": float(time[event] - time[0])}
 
 
-def write_replay(folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any]) -> dict[str, Any]:
-    """Write trajectory, map, picture and result of a replay into a folder. Returns the content of ``result.json``.
+def write_replay(
+    folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any]
+) -> dict[str, Any]:
+    """Write trajectory, map, picture and result of a replay into a folder. Returns the content of
+    ``result.json``.
 
     Parameters
     ----------
@@ -174,17 +188,25 @@ def write_replay(folder: Path, replay: Replay, source: dict[str, str | None], sc
         figures.get("smoothed_status", statuses["status"]),
         figures.get("smoothed_status_reason", statuses["status_reason"]),
     )
-    _draw_picture(folder, replay, f"{source['log']}, {len(log.robot.beams)} beams, {replay.config.preset}", drawn)
+    _draw_picture(
+        folder,
+        replay,
+        f"{source['log']}, {len(log.robot.beams)} beams, {replay.config.preset}",
+        drawn,
+    )
     calibration = replay.self_calibration.figures if replay.self_calibration else {}
     counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
-    record = record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry])
+    record = record_of(
+        log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry]
+    )
     result = {
         "metrics": {**scores, **calibration, **statuses, **_hand_over(replay), **counts, **figures},
         "cost": _cost(replay),
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(replay.config)},
         "record": {
             **record,
-            "sensor": replay.sensor and replay.sensor.found(_specified(replay), log.robot.control_period),
+            "sensor": replay.sensor
+            and replay.sensor.found(_specified(replay), log.robot.control_period),
             "beam_turns": turn_records(replay.beam_turns),
             "places": place_records(log.time, replay.places.records),
         },
@@ -204,8 +226,14 @@ def _write_trajectories(folder: Path, replay: Replay) -> None:
     smoothed = replay.smoothed
     paths = {"est": replay.estimated, "odometry": replay.odometry, "true": replay.log.true_pose}
     paths["smoothed"] = None if smoothed is None else smoothed.poses
-    write_paths(folder, replay.log.time, {kind: [poses] for kind, poses in paths.items() if poses is not None})
-    of_smoothed = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    write_paths(
+        folder,
+        replay.log.time,
+        {kind: [poses] for kind, poses in paths.items() if poses is not None},
+    )
+    of_smoothed = (
+        None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    )
     write_covariances(folder / COVARIANCES, replay.covariances[:, None], of_smoothed)
 
 
@@ -219,15 +247,23 @@ def _status_scores(replay: Replay) -> dict[str, Any]:
 
 
 def _draw_picture(folder: Path, replay: Replay, title: str, status: Status) -> None:
-    """Draw the map with the best path, and with the path that was estimated online if that is another one."""
+    """Draw the map with the best path, and with the path that was estimated online if that is
+    another one.
+    """
     from limslam_agent.output.drawing import MapPicture, draw_map
 
     true, smoothed = replay.log.true_pose, replay.smoothed
     path = replay.estimated if smoothed is None else smoothed.poses
     picture = MapPicture(
-        title, replay.segments, [path[:, :2]], [replay.odometry[:, :2]], true=[] if true is None else [true[:, :2]],
-        grid=replay.grid, online=[] if smoothed is None else [replay.estimated[:, :2]], remark=status.remark,
-    )  # fmt: skip
+        title,
+        replay.segments,
+        [path[:, :2]],
+        [replay.odometry[:, :2]],
+        true=[] if true is None else [true[:, :2]],
+        grid=replay.grid,
+        online=[] if smoothed is None else [replay.estimated[:, :2]],
+        remark=status.remark,
+    )
     draw_map(folder / "map.png", picture)
 
 

@@ -1,6 +1,7 @@
 """A replayed log smoothed after its end, and the map drawn from the smoothed poses.
 
-A log of odometry poses is smoothed by the graph of local maps, a log of wheel travel by the line smoother.
+A log of odometry poses is smoothed by the graph of local maps, a log of wheel travel by the line
+smoother.
 """
 
 import math
@@ -34,17 +35,21 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec
 
-# The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
+# The finished map is searched as one window, so it needs finer bins, and more lines, than a few
+# metres of driving.
 _DRAWN_LINES = WallLineConfig(
     tolerance=0.12, angle_bin=math.radians(1.0), min_points=8, min_length=0.4, max_gap=0.6
-)  # fmt: skip
+)
 
 
 _MORE_ROUNDS = 2  # of a doubtful path; felt by "csail 4 beams" and "made-up logs"
 
 
-def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Report = lambda _: None) -> Replay:
-    """The replay of a log of odometry poses with its log smoothed, and with the map drawn from the smoothed poses.
+def smoothed_by_graph(
+    replay: Replay, config: GraphConfig, report: Report = lambda _: None
+) -> Replay:
+    """The replay of a log of odometry poses with its log smoothed, and with the map drawn from the
+    smoothed poses.
 
     ``report`` is called with each stage of the smoothing, in words.
     """
@@ -53,18 +58,32 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Report = lamb
     recorded = log_data(log, replay.odometry, replay.config.range_std)
     data = with_reversing(recorded, config)
     found, signals = trusted_path(data, log.start_pose, config, report)
-    landmarks = draw_walls(point_cloud(found.keys, found.trajectory, data.range_std), data.range_std)
+    landmarks = draw_walls(
+        point_cloud(found.keys, found.trajectory, data.range_std), data.range_std
+    )
     seconds = time.process_time() - begin
     figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
     graph = _graph(found, log)
     smoothed = Smoothed(
-        found.poses, figures, loop_records(found, log.time), seconds, graph=graph, basis=found, data=data
+        found.poses,
+        figures,
+        loop_records(found, log.time),
+        seconds,
+        graph=graph,
+        basis=found,
+        data=data,
     )
     grid = draw_grid([replay], [found.poses])
     segments = ends_of(landmarks)
     # The graph takes the sensor to be as specified, whatever the filter has found.
     return replace(
-        replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed, beam_turns=None, sensor=None
+        replay,
+        landmarks=landmarks,
+        segments=segments,
+        grid=grid,
+        smoothed=smoothed,
+        beam_turns=None,
+        sensor=None,
     )
 
 
@@ -98,11 +117,15 @@ def log_data(log: RecordedLog, odometry: FloatArray, range_std: float) -> LogDat
     ranges = log.ranges.astype(np.float64)
     hit = log.has_scan[:, None] & (ranges > robot.too_near) & (ranges < robot.too_far)
     reach = float(robot.max_ranges.max())
-    return LogData(log.time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, reach, range_std)
+    return LogData(
+        log.time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, reach, range_std
+    )
 
 
 def draw_walls(cloud: PointCloud, range_std: float) -> list[Landmark]:
-    """Walls through the final points: Hough lines, fitted by least squares, and cut where there are gaps."""
+    """Walls through the final points: Hough lines, fitted by least squares, and cut where there are
+    gaps.
+    """
     spans = np.array([[0, len(cloud.places)]])
     lines = lines_in(cloud.places, cloud.normals, cloud.good, spans, _DRAWN_LINES)
     borders = np.searchsorted(lines.lines, np.arange(len(lines.angles) + 1))
@@ -126,7 +149,8 @@ def smoothed_by_lines(
     closures: list[Closure],
     config: SmootherConfig,
 ) -> Replay:
-    """The replay of a log of wheel travel with its log smoothed, and with the map drawn from the smoothed poses.
+    """The replay of a log of wheel travel with its log smoothed, and with the map drawn from the
+    smoothed poses.
 
     Parameters
     ----------
@@ -142,7 +166,9 @@ def smoothed_by_lines(
     """
     log, begin = replay.log, time.process_time()
     places, placed = replay.places, replay.places.placed.stop
-    poses, covariances = revised(replay.estimated[:, None], replay.covariances[:, None], places.revisions)
+    poses, covariances = revised(
+        replay.estimated[:, None], replay.covariances[:, None], places.revisions
+    )
     assert log.wheels is not None  # noqa: S101 (the caller chooses the smoother by it)
     run = FilteredRun(
         robot=log.robot,
@@ -173,13 +199,21 @@ def smoothed_by_lines(
         status = places.doubt
     seconds = time.process_time() - begin
     basis = run.synchronous.until(placed)
-    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis)
+    smoothed = Smoothed(
+        poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis
+    )
     grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
-    return replace(replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed)
+    return replace(
+        replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed
+    )
 
 
-def draw_grid(replays: Sequence[Replay], paths: Sequence[FloatArray], robot: RobotSpec | None = None) -> GridView:
-    """The occupancy grid of the first readings of logs from their poses (n, 3), by their robot or by one like it."""
+def draw_grid(
+    replays: Sequence[Replay], paths: Sequence[FloatArray], robot: RobotSpec | None = None
+) -> GridView:
+    """The occupancy grid of the first readings of logs from their poses (n, 3), by their robot or
+    by one like it.
+    """
     grid = OccupancyGrid(replays[0].config.grid)
     for replay, poses in zip(replays, paths, strict=True):
         log = replay.log
@@ -194,8 +228,15 @@ def draw_grid(replays: Sequence[Replay], paths: Sequence[FloatArray], robot: Rob
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:
     left, right, axle, bias = np.zeros(4) if found.calibration is None else found.calibration[0]
-    sizes = {"smoothed_left_wheel": 1.0 + left, "smoothed_right_wheel": 1.0 + right, "smoothed_axle": 1.0 + axle}
-    return {**{name: float(value) for name, value in sizes.items()}, "smoothed_range_bias_m": float(bias)}
+    sizes = {
+        "smoothed_left_wheel": 1.0 + left,
+        "smoothed_right_wheel": 1.0 + right,
+        "smoothed_axle": 1.0 + axle,
+    }
+    return {
+        **{name: float(value) for name, value in sizes.items()},
+        "smoothed_range_bias_m": float(bias),
+    }
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:
@@ -220,7 +261,10 @@ def _reversing_figures(recorded: LogData, data: LogData) -> dict[str, Any]:
 
 
 def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:
-    places = {"key_pose_times": found.keys.first_event, "local_map_times": found.keys.first_event[found.chunk_keys]}
+    places = {
+        "key_pose_times": found.keys.first_event,
+        "local_map_times": found.keys.first_event[found.chunk_keys],
+    }
     return {name: log.time[events].tolist() for name, events in places.items()}
 
 

@@ -1,11 +1,13 @@
 """Whether the smoothed path of a log can be trusted, by signals that need no truth.
 
-Three things can be wrong. Nothing holds a stretch of the path: then the posterior covariance of the graph says how far
-off it may be. The wrong places were taken for each other: then other visits contradict what was seen, everywhere or at
-one place. Or there is no evidence: no place was seen twice.
+Three things can be wrong. Nothing holds a stretch of the path: then the posterior covariance of the
+graph says how far off it may be. The wrong places were taken for each other: then other visits
+contradict what was seen, everywhere or at one place. Or there is no evidence: no place was seen
+twice.
 
-In 96 made-up logs with 5 to 40 points a metre (4 to 11 beams), the error of a right path was 0.3 to 1.2 times its
-expected one, and other visits contradicted at most 8 % of the points that they had seen.
+In 96 made-up logs with 5 to 40 points a metre (4 to 11 beams), the error of a right path was 0.3 to
+1.2 times its expected one, and other visits contradicted at most 8 % of the points that they had
+seen.
 """
 
 from dataclasses import dataclass
@@ -19,10 +21,14 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
 
 MOST_CONTRADICTED = 0.09
-"""A path is doubtful if other visits contradict a larger share of the points that they confirm or contradict."""
+"""A path is doubtful if other visits contradict a larger share of the points that they confirm or
+contradict.
+"""
 
 MOST_STD = 0.6
-"""A path is doubtful if its positions are expected to be farther off than this, m: it would be wrong."""
+"""A path is doubtful if its positions are expected to be farther off than this, m: it would be
+wrong.
+"""
 
 _ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, none is contradicted
 
@@ -33,14 +39,16 @@ class PathSignals:
 
     driven: float  # length of the path, m
     points: int  # number of the readings of walls that were used
-    # confirmed, contradicted: shares of the points that other visits of their place confirm and contradict
+    # confirmed, contradicted: shares of the points that other visits of their place confirm and
+    # contradict
     confirmed: float
     contradicted: float
     position_std: float  # expected root mean square error of the positions after rigid alignment, m
-    # Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None if it has not
-    # been looked for.
+    # Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None
+    # if it has not been looked for.
     loose: tuple[float, float] | None = None
-    # Times around which other visits contradict more than they confirm, s from the beginning of the log
+    # Times around which other visits contradict more than they confirm, s from the beginning of the
+    # log
     doubtful_times: tuple[float, ...] = ()
 
     @property
@@ -60,20 +68,31 @@ class PathSignals:
         if not self.confirmed:
             reasons.append("no other visit of a place confirms what was seen")
         if self.contradicted_share > MOST_CONTRADICTED:
-            reasons.append(f"visits of a place contradict each other at {self.contradicted_share:.0%} of the points")
+            reasons.append(
+                f"visits of a place contradict each other at {self.contradicted_share:.0%} of the "
+                "points"
+            )
         if self.doubtful_times:
             times = ", ".join(f"{time:.0f}" for time in self.doubtful_times[:3])
-            reasons.append(f"visits contradict what was seen more often than they confirm it after {times} s")
+            reasons.append(
+                f"visits contradict what was seen more often than they confirm it after {times} s"
+            )
         if self.position_std > MOST_STD:
             where = "" if self.loose is None else " from {:.0f} to {:.0f} s".format(*self.loose)
             reasons.append(
-                f"positions may be {self.position_std:.1f} m off, as no recognised place holds the path{where}"
+                f"positions may be {self.position_std:.1f} m off, as no recognised place holds "
+                f"the path{where}"
             )
         return Status("unsure", ", ".join(reasons)) if reasons else Status()
 
     def is_worse_than(self, other: "PathSignals") -> bool:
-        """Whether visits agree better in another path of the same log, in which nearly as many points are confirmed."""
-        return other.contradicted_share < self.contradicted_share and other.confirmed > _ENOUGH * self.confirmed
+        """Whether visits agree better in another path of the same log, in which nearly as many
+        points are confirmed.
+        """
+        return (
+            other.contradicted_share < self.contradicted_share
+            and other.confirmed > _ENOUGH * self.confirmed
+        )
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -89,7 +108,11 @@ class PathSignals:
 
 
 def path_signals(
-    found: GraphResult, time: FloatArray, config: GraphConfig, sensor: tuple[float, float], seam: int = 0
+    found: GraphResult,
+    time: FloatArray,
+    config: GraphConfig,
+    sensor: tuple[float, float],
+    seam: int = 0,
 ) -> PathSignals:
     """What speaks for or against a path.
 

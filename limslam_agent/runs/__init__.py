@@ -1,1 +1,3 @@
-"""One run of an agent in the simulator: policies, episode, results, film, and the scoring of other actors."""
+"""One run of an agent in the simulator: policies, episode, results, film, and the scoring of other
+actors.
+"""

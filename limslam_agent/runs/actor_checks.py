@@ -1,4 +1,6 @@
-"""What kind of object an actor is, and whether it was made for the robot and the observations of an environment."""
+"""What kind of object an actor is, and whether it was made for the robot and the observations of an
+environment.
+"""
 
 import inspect
 from dataclasses import fields
@@ -12,35 +14,49 @@ from limslam_env.messages import one_line
 
 
 def check_actor(actor: Any, robot: RobotSpec, env: Any) -> None:
-    """Refuse an actor that was made for another robot, or a model that was trained on observations of another form.
+    """Refuse an actor that was made for another robot, or a model that was trained on observations
+    of another form.
 
     ``env`` is the environment as the actor sees it, with all wrappers.
     """
     own = getattr(actor, "robot", None)
     if isinstance(own, RobotSpec) and own != robot:
-        different = [part.name for part in fields(robot) if getattr(own, part.name) != getattr(robot, part.name)]
+        different = [
+            part.name
+            for part in fields(robot)
+            if getattr(own, part.name) != getattr(robot, part.name)
+        ]
         raise ValueError(
-            f"{type(actor).__name__} was made for another robot than that of the environment (they differ in "
+            f"{type(actor).__name__} was made for another robot than that of the environment "
+            "(they differ in "
             f"{', '.join(different)}): give both the same robot, by the argument robot="
         )
     names = getattr(env, "possible_agents", None)
-    _check_observations(actor, env.observation_space if names is None else env.observation_space(names[0]))
+    _check_observations(
+        actor, env.observation_space if names is None else env.observation_space(names[0])
+    )
 
 
 def _check_observations(actor: Any, seen: Any) -> None:
     trained = getattr(actor, "observation_space", None)
-    if not (isinstance(trained, gym.Space) and isinstance(seen, gym.Space)) or _form(trained) == _form(seen):
+    if not (isinstance(trained, gym.Space) and isinstance(seen, gym.Space)) or _form(
+        trained
+    ) == _form(seen):
         return
     raise ValueError(
         one_line(
-            f"{type(actor).__name__} was trained on other observations ({_described(trained)}) than the environment "
-            f"gives ({_described(seen)}): pass the wrappers of the training by wrap=, for example wrap=SlamObservation"
+            f"{type(actor).__name__} was trained on other observations ({_described(trained)}) "
+            "than the environment "
+            f"gives ({_described(seen)}): pass the wrappers of the training by wrap=, for example "
+            "wrap=SlamObservation"
         )
     )
 
 
 def _form(space: Any) -> Any:
-    """Keys and sizes of a space. The order of the axes is left out, because libraries move the axes of pictures."""
+    """Keys and sizes of a space. The order of the axes is left out, because libraries move the axes
+    of pictures.
+    """
     if isinstance(space, spaces.Dict):
         return {key: _form(part) for key, part in space.items()}
     return sorted(space.shape or ())
@@ -53,10 +69,11 @@ def _described(space: Any) -> str:
 
 
 def is_policy(actor: Any) -> bool:
-    """Whether an object is a policy, which acts on a belief, and not an actor, which acts on an observation.
+    """Whether an object is a policy, which acts on a belief, and not an actor, which acts on an
+    observation.
 
-    The name of the argument of ``act`` decides: ``belief`` or ``observation``. With another name, an object is a policy
-    if it has ``stop_reason`` and ``plan``.
+    The name of the argument of ``act`` decides: ``belief`` or ``observation``. With another name,
+    an object is a policy if it has ``stop_reason`` and ``plan``.
 
     Raises
     ------
@@ -68,7 +85,8 @@ def is_policy(actor: Any) -> bool:
     if argument == "belief":
         if missing:
             raise ValueError(
-                f"{name} is a policy, because act takes a belief, but it has no {' and no '.join(missing)}: "
+                f"{name} is a policy, because act takes a belief, but it has no "
+                f"{' and no '.join(missing)}: "
                 "write stop_reason = None and plan = np.zeros((0, 2)) in the class"
             )
         return True
@@ -76,14 +94,17 @@ def is_policy(actor: Any) -> bool:
         return False
     if any(hasattr(actor, part) for part in ("reset", "done", "predict", "snapshot")):
         raise ValueError(
-            f"{name} may be a policy or an actor: call the argument of act belief if it is a policy, "
+            f"{name} may be a policy or an actor: call the argument of act belief if it is a "
+            "policy, "
             "and observation if it is an actor"
         )
     return True
 
 
 def first_argument(act: Any) -> str | None:
-    """The name of the first argument of a function. None if there is no such function or its arguments are unknown."""
+    """The name of the first argument of a function. None if there is no such function or its
+    arguments are unknown.
+    """
     try:
         return next(iter(inspect.signature(act).parameters), None)
     except (TypeError, ValueError):

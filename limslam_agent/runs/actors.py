@@ -1,4 +1,6 @@
-"""One interface for anything that can act, and an actor as the policy of a robot that a mapper listens to."""
+"""One interface for anything that can act, and an actor as the policy of a robot that a mapper
+listens to.
+"""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -24,10 +26,12 @@ ALONE = "robot_0"
 
 
 class Driver:
-    """Drives the robots of an episode: from the observations of all robots to the actions of all robots.
+    """Drives the robots of an episode: from the observations of all robots to the actions of all
+    robots.
 
-    ``make`` gives the actor of an episode, for a number of robots and a seed. If it ``answers_all``, it takes the
-    observations of all robots by their names, and otherwise those of one robot.
+    ``make`` gives the actor of an episode, for a number of robots and a seed. If it
+    ``answers_all``, it takes the observations of all robots by their names, and otherwise those of
+    one robot.
     """
 
     def __init__(self, make: Callable[[int, int], Any], *, answers_all: bool) -> None:
@@ -45,8 +49,8 @@ class Driver:
         return self._actor if callable(getattr(self._actor, "snapshot", None)) else None
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
-        """Start again. ``start_poses`` are known poses (3,) of the robots by their names: x (m), y (m), heading
-        (rad).
+        """Start again. ``start_poses`` are known poses (3,) of the robots by their names: x (m), y
+        (m), heading (rad).
         """
         self._actor = self._make(len(start_poses), seed)
         reset = getattr(self._actor, "reset", None)
@@ -62,7 +66,9 @@ class Driver:
             return {name: answer(observation) for name, observation in observations.items()}
         actions = answer(observations)
         if not isinstance(actions, Mapping):
-            raise ValueError(f"several robots need a dict of actions by their names, not {actions!r}")  # noqa: TRY004
+            raise ValueError(  # noqa: TRY004
+                f"several robots need a dict of actions by their names, not {actions!r}"
+            )
         return actions
 
     @property
@@ -86,9 +92,9 @@ def driver_of(
 ) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
-    A policy becomes the policy of a `LimSlamAgent` for ``robot`` and ``noise``, of the preset that is named or else of
-    the default preset. A text is the name of a policy as in ``limslam run --policy``, which drives such an
-    agent or team.
+    A policy becomes the policy of a `LimSlamAgent` for ``robot`` and ``noise``, of the preset that
+    is named or else of the default preset. A text is the name of a policy as in ``limslam run
+    --policy``, which drives such an agent or team.
 
     Raises
     ------
@@ -109,9 +115,12 @@ def driver_of(
         if is_team:
             raise ValueError(
                 f"{type(actor).__name__} is a policy for one robot: "
-                "pass LimSlamTeam(robot, config, num_robots, policies=[...]) with one policy for each robot"
+                "pass LimSlamTeam(robot, config, num_robots, policies=[...]) with one policy for "
+                "each robot"
             )
-        return Driver(lambda _robots, _seed: LimSlamTeam(body, config, 1, [_copied(actor)]), answers_all=True)
+        return Driver(
+            lambda _robots, _seed: LimSlamTeam(body, config, 1, [_copied(actor)]), answers_all=True
+        )
     if not callable(getattr(actor, "act", None)):
         if callable(getattr(actor, "predict", None)):
             return Driver(lambda _robots, _seed: _Model(actor), answers_all=True)
@@ -126,7 +135,8 @@ def _check_callable(actor: Any) -> None:
         )
     if first_argument(actor) == "belief":
         raise ValueError(
-            f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an observation: "
+            f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an "
+            "observation: "
             "a policy is an object with act(belief), stop_reason and plan"
         )
 
@@ -142,14 +152,18 @@ def _copied(policy: Any) -> Any:
 
 
 class _Model:
-    """A model in the style of Stable-Baselines3. The state of a recurrent model is kept for each robot."""
+    """A model in the style of Stable-Baselines3. The state of a recurrent model is kept for each
+    robot.
+    """
 
     def __init__(self, model: Any) -> None:
         self._model = model
         self._states: dict[str, Any] = {}
 
     def act(self, observations: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: self._predicted(name, observation) for name, observation in observations.items()}
+        return {
+            name: self._predicted(name, observation) for name, observation in observations.items()
+        }
 
     def _predicted(self, name: str, observation: Any) -> Any:
         # Models without a recurrent state need not accept these arguments.
@@ -160,7 +174,8 @@ class _Model:
 
 
 class ActorPolicy:
-    """Drives a robot by an actor, which knows nothing of the belief: a mapper draws the map from the same readings.
+    """Drives a robot by an actor, which knows nothing of the belief: a mapper draws the map from
+    the same readings.
 
     Parameters
     ----------
@@ -194,7 +209,9 @@ class ActorPolicy:
         return action
 
     def close(self) -> None:
-        """End what the actor has started, such as a process. An actor without a ``close`` has started nothing."""
+        """End what the actor has started, such as a process. An actor without a ``close`` has
+        started nothing.
+        """
         close = getattr(self._actor, "close", None)
         if callable(close):
             close()

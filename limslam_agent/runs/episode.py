@@ -1,7 +1,7 @@
 """One run of an agent or a team in the simulator, recorded step by step.
 
-Agent and simulator meet only in this module. The agent gets the observations and nothing else. The truth goes into the
-record of the run.
+Agent and simulator meet only in this module. The agent gets the observations and nothing else. The
+truth goes into the record of the run.
 """
 
 import time
@@ -38,7 +38,9 @@ LEAST_MOVE = 2.0
 """Least distance to which a robot is carried, m."""
 
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
-"""Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""
+"""Called at each step, after the team has decided, with team, env, simulated time (s) and true
+coverage (0 to 1).
+"""
 
 _Row = dict[str, Any]
 """One step of a run with all robots, by the names of the columns in :class:`Episode`."""
@@ -65,14 +67,19 @@ def run_episode(
     policies
         A policy for each robot, in place of those that ``config.policy`` names.
     alter
-        Makes of each observation and its time (s) the observation that the agent gets and that is recorded: a fault.
+        Makes of each observation and its time (s) the observation that the agent gets and that is
+        recorded: a fault.
     """
     world = load_world(config.world)
     env = LimSlamParallelEnv(
-        world, num_robots=config.robots, robot=config.robot,
+        world,
+        num_robots=config.robots,
+        robot=config.robot,
         noise=replace(config.true_noise, sensor_noise=config.noise),
-        coverage_goal=None, max_cycles=None, render_mode=render_mode,
-    )  # fmt: skip
+        coverage_goal=None,
+        max_cycles=None,
+        render_mode=render_mode,
+    )
     team = team_of(config, policies_of(config, world) if policies is None else policies)
     clock = time.perf_counter()
     with naming_lines_of(config.policy):
@@ -99,25 +106,36 @@ def run_episode(
 
 
 def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
-    """A policy for each robot of a run, by the name in its settings; None for those that a team has by default."""
+    """A policy for each robot of a run, by the name in its settings; None for those that a team has
+    by default.
+    """
     robot = config.robot
     if config.policy == "frontier":
         return [Laps(robot, world.loop, config.laps)] if config.laps else None
     if config.policy == TOUR:
         return [Tour(robot, lambda pose: loop_tour(world, robot, pose, config.laps or 1))]
-    return policies_by_belief(config.policy, robot, config.agent, robots=config.robots, seed=config.seed)
+    return policies_by_belief(
+        config.policy, robot, config.agent, robots=config.robots, seed=config.seed
+    )
 
 
 def team_of(config: RunConfig, policies: Sequence[Policy] | None) -> LimSlamTeam:
     """The robots of a run, with the default policies if none are given."""
     prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
     return LimSlamTeam(
-        config.robot, config.agent, config.robots, policies, prior_map=prior_map, unknown_starts=config.unknown_starts
+        config.robot,
+        config.agent,
+        config.robots,
+        policies,
+        prior_map=prior_map,
+        unknown_starts=config.unknown_starts,
     )
 
 
 def told_starts(config: RunConfig, true: FloatArray) -> FloatArray:
-    """The start poses (n, 3) that the agent is told, of the true ones: an unknown start is the origin."""
+    """The start poses (n, 3) that the agent is told, of the true ones: an unknown start is the
+    origin.
+    """
     told = np.array(true)
     if config.unknown_starts:
         told[1] = 0.0
@@ -134,13 +152,16 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
     if not (reason.startswith("explored") and region.is_small):
         return reason
     return (
-        f"stopped: the start region is explored, but {1.0 - region.share:.0%} of the floor cannot be reached from it: "
+        f"stopped: the start region is explored, but {1.0 - region.share:.0%} of the floor cannot "
+        "be reached from it: "
         f"{NOT_EXPLORED}"
     )
 
 
 def _in_one_frame(columns: dict[str, Any], mapper: Mapper) -> dict[str, Any]:
-    """The columns of a run, with all poses in the frame of an earlier map, or of the first robot, if that was found."""
+    """The columns of a run, with all poses in the frame of an earlier map, or of the first robot,
+    if that was found.
+    """
     earlier = mapper.earlier if isinstance(mapper, JoiningMapper) else None
     if mapper.prior_frame is not None:
         own = slice(mapper.places.records[0]["step"])
@@ -149,7 +170,10 @@ def _in_one_frame(columns: dict[str, Any], mapper: Mapper) -> dict[str, Any]:
         columns["covariances"][own] = turned(columns["covariances"][own], mapper.prior_frame[2])
     if earlier is not None:
         known = slice(len(earlier.poses)), 1
-        columns["estimated"][known], columns["odometry"][known] = earlier.poses[:, 1], earlier.odometry[:, 1]
+        columns["estimated"][known], columns["odometry"][known] = (
+            earlier.poses[:, 1],
+            earlier.odometry[:, 1],
+        )
         columns["covariances"][known] = earlier.covariances[:, 1]
     return columns
 
@@ -170,7 +194,9 @@ def _drive(
             policy.reset(start, config.seed)
     rows: list[_Row] = []
     max_steps = round(config.max_time / config.robot.control_period)
-    kidnapped_at = None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
+    kidnapped_at = (
+        None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
+    )
     while True:
         told = [observed[name] for name in team.names]
         if alter is not None:
@@ -188,7 +214,9 @@ def _drive(
         observed, _, _, _, infos = env.step(dict(zip(team.names, row["actions"], strict=True)))
 
 
-def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]) -> _Row:
+def _decide(
+    team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]
+) -> _Row:
     """Let the robots observe and choose their actions; the record of the step."""
     truth, mapper = infos[0], team.mapper
     for policy, observation in zip(team.policies, observations, strict=True):
@@ -220,7 +248,9 @@ def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict
     }
 
 
-def another_place(world: World, robot: RobotSpec, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+def another_place(
+    world: World, robot: RobotSpec, pose: FloatArray, rng: np.random.Generator
+) -> FloatArray:
     """A random free pose (3,) that the robot could drive to, at least 2 m away from its pose (3,).
 
     Raises
@@ -232,5 +262,7 @@ def another_place(world: World, robot: RobotSpec, pose: FloatArray, rng: np.rand
     places = grid.centres(grid.region_of(pose[:2]))
     far = places[np.hypot(*(places - pose[:2]).T) > LEAST_MOVE]
     if not len(far):
-        raise WorldError(f"world {world.name!r} has no free place that is {LEAST_MOVE:g} m away from the robot")
+        raise WorldError(
+            f"world {world.name!r} has no free place that is {LEAST_MOVE:g} m away from the robot"
+        )
     return np.array([*far[rng.integers(len(far))], rng.uniform(-np.pi, np.pi)])

@@ -39,58 +39,70 @@ def evaluate(
     wrap: Callable[[Any], Any] | None = None,
     **arguments: Any,
 ) -> list[Result]:
-    """Let an actor or a policy explore once for each seed, and score it with the metrics of ``limslam run``.
+    """Let an actor or a policy explore once for each seed, and score it with the metrics of
+    ``limslam run``.
 
     Parameters
     ----------
     actor
-        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). A new copy of
-        it is the policy of a `LimSlamAgent` in each episode, which is told ``robot`` and a plain ``sensor_noise``. An
-        **actor** is anything with ``act(observation)``, a model of Stable-Baselines3 or another object with
-        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. If the actor has a
-        ``reset(start_pose, seed)``, it is called before each episode. In a parallel environment an actor answers a dict
-        of all robots' observations with a dict of their actions. A model with ``predict`` answers for each robot in
-        turn. A **name** that ``limslam run --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the
-        agent of that command, and for its team in a parallel environment.
+        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan``
+        (`Policy`). A new copy of it is the policy of a `LimSlamAgent` in each episode, which is
+        told ``robot`` and a plain ``sensor_noise``. An **actor** is anything with
+        ``act(observation)``, a model of Stable-Baselines3 or another object with
+        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. If the actor
+        has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel
+        environment an actor answers a dict of all robots' observations with a dict of their
+        actions. A model with ``predict`` answers for each robot in turn. A **name** that ``limslam
+        run --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the agent of that
+        command, and for its team in a parallel environment.
     env_id
-        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
+        A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several
+        robots.
     seeds
         One episode is driven for each seed. A number n means the seeds 0 to n - 1.
     max_time
         Longest simulated time of an episode, s.
     preset
-        The settings of the agent that gets a policy: ``graph`` (the default), ``paper``, ``consistent`` or
-        ``odometry``. An actor has its own settings.
+        The settings of the agent that gets a policy: ``graph`` (the default), ``paper``,
+        ``consistent`` or ``odometry``. An actor has its own settings.
     wrap
         Wraps the bare environment into the one that the actor sees.
     **arguments
-        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is by default
-        None for an actor that says itself when it is ``done``, else 0.99.
+        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``.
+        ``coverage_goal`` is by default None for an actor that says itself when it is ``done``, else
+        0.99.
 
     Returns
     -------
     results
-        For each seed the metrics of the drive: ``coverage_true``, ``time_to_50_s`` and so on, ``exploration_time_s``,
-        ``collisions``, ``path_m`` and ``stop_reason``. For an actor whose ``snapshot()`` is that of `LimSlamAgent` or
-        `LimSlamTeam`, also the metrics of its trajectory and map.
+        For each seed the metrics of the drive: ``coverage_true``, ``time_to_50_s`` and so on,
+        ``exploration_time_s``, ``collisions``, ``path_m`` and ``stop_reason``. For an actor whose
+        ``snapshot()`` is that of `LimSlamAgent` or `LimSlamTeam`, also the metrics of its
+        trajectory and map.
 
     Raises
     ------
     ValueError
-        If the environment does not exist, or the actor cannot act in it (because it was made for another robot or
-        trained on other observations, for example), or an answer of the actor is not an action.
+        If the environment does not exist, or the actor cannot act in it (because it was made for
+        another robot or trained on other observations, for example), or an answer of the actor is
+        not an action.
     """
     _check(actor, env_id, max_time, preset)
     seeds = _seeds(seeds)
     is_team = env_id.startswith(_TEAMS)
     robot = given("robot", arguments.get("robot"), RobotSpec)
-    driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset)
+    driver = driver_of(
+        actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset
+    )
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
         check_actor(actor, bare.unwrapped.robot, env)
-        return [_scored(driver, _Robots(env, is_team=is_team), bare.unwrapped, int(seed)) for seed in seeds]
+        return [
+            _scored(driver, _Robots(env, is_team=is_team), bare.unwrapped, int(seed))
+            for seed in seeds
+        ]
     finally:
         env.close()
 
@@ -98,8 +110,8 @@ def evaluate(
 def medians(results: Sequence[Result]) -> dict[str, float | None]:
     """The median of each metric over several episodes.
 
-    A time that was never reached counts as later than all others. If half of the times were not reached, the median is
-    None. For other metrics, episodes without the metric are ignored.
+    A time that was never reached counts as later than all others. If half of the times were not
+    reached, the median is None. For other metrics, episodes without the metric are ignored.
     """
     columns: dict[str, list[float]] = {}
     for result in results:
@@ -125,13 +137,19 @@ def _seeds(seeds: Any) -> list[int]:
 
 
 def _nominal_noise(arguments: dict[str, Any]) -> NominalNoise:
-    """The noise that the agent of a policy is told: that of the environment, or the upper end of its interval."""
+    """The noise that the agent of a policy is told: that of the environment, or the upper end of
+    its interval.
+    """
     noise: Any = arguments.get("noise") or NoiseConfig()
     sensor_noise = arguments.get("sensor_noise")
     setting = getattr(noise, "sensor_noise", None) if sensor_noise is None else sensor_noise
     highest: Any = max(setting, default=None) if isinstance(setting, tuple) else setting
     # The environment refuses what is no noise.
-    return NominalNoise(highest) if isinstance(highest, int | float) and 0.0 <= highest < np.inf else NominalNoise()
+    return (
+        NominalNoise(highest)
+        if isinstance(highest, int | float) and 0.0 <= highest < np.inf
+        else NominalNoise()
+    )
 
 
 _Infos = dict[str, dict[str, Any]]
@@ -150,7 +168,9 @@ class _Robots:
         return (observation, info) if self._is_team else ({ALONE: observation}, {ALONE: info})
 
     def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], _Infos, bool, bool]:
-        """Observations and infos, whether the episode has terminated, and whether it was truncated."""
+        """Observations and infos, whether the episode has terminated, and whether it was
+        truncated.
+        """
         if self._is_team:
             observations, _, over, late, infos = self._env.step(dict(actions))
             return observations, infos, all(over.values()), all(late.values())
@@ -165,7 +185,8 @@ def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None
     if not isinstance(env_id, str):
         raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
             f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
-            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
+            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and "
+            "so on) and wrap="
         )
     has_agent = isinstance(actor, str) or (not isinstance(actor, type) and is_policy(actor))
     if preset is not None and not has_agent:
@@ -177,7 +198,9 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
         if env_id.startswith(_TEAMS):
             env: Any = pettingzoo.make("parallel", env_id, max_cycles=max_steps, **arguments)
         else:
-            env = gym.make(env_id, max_episode_steps=max_steps, disable_env_checker=True, **arguments)
+            env = gym.make(
+                env_id, max_episode_steps=max_steps, disable_env_checker=True, **arguments
+            )
     except PettingZooRegistryError as error:
         raise ValueError(f"there is no environment {env_id!r}") from error
     except gym.error.Error as error:
@@ -186,7 +209,9 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
         unknown = re.search(r"unexpected keyword argument '(\w+)'", str(error))
         if unknown is None or unknown[1] not in arguments:
             raise
-        raise ValueError(f"{unknown[1]} is an argument neither of evaluate nor of {env_id}") from error
+        raise ValueError(
+            f"{unknown[1]} is an argument neither of evaluate nor of {env_id}"
+        ) from error
     if not isinstance(env.unwrapped, SimulationEnv):
         env.close()
         raise ValueError(f"{env_id!r} is not a LimSLAM environment")  # noqa: TRY004 (a wrong value)
@@ -196,30 +221,45 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
 def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) -> Result:
     """Drive one episode and score it."""
     truth, beliefs, stop_reason = _drive(driver, robots, seed)
-    time, coverage = (np.array([next(iter(infos.values()))[name] for infos in truth]) for name in ("time", "coverage"))
+    time, coverage = (
+        np.array([next(iter(infos.values()))[name] for infos in truth])
+        for name in ("time", "coverage")
+    )
     true, contact = (
-        np.array([[info[name] for info in infos.values()] for infos in truth]) for name in ("pose", "collision")
+        np.array([[info[name] for info in infos.values()] for infos in truth])
+        for name in ("pose", "collision")
     )
     has_explored = stop_reason is not None and not stop_reason.endswith(NOT_EXPLORED)
     scores: Result = drive_scores(time, coverage, true, contact, has_explored=has_explored)
     if driver.snapshot_source is not None:
-        estimated, odometry, covariances = (np.array(column) for column in zip(*beliefs, strict=True))
+        estimated, odometry, covariances = (
+            np.array(column) for column in zip(*beliefs, strict=True)
+        )
         snapshot = driver.snapshot_source.snapshot()
         scores |= over_robots(trajectory_scores, true, estimated, odometry, covariances)
-        scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
+        scores |= map_scores(
+            stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated
+        )
     return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
 
 
 def _drive(
     driver: Driver, robots: _Robots, seed: int
 ) -> tuple[list[_Infos], list[tuple[FloatArray, FloatArray, FloatArray]], str | None]:
-    """What is true in each step, what is believed, and the stop reason, which is None if the time ran out.
+    """What is true in each step, what is believed, and the stop reason, which is None if the time
+    ran out.
 
-    What is believed are estimated poses (n, 3), odometry (n, 3) and covariances (n, 3, 3) of n robots.
+    What is believed are estimated poses (n, 3), odometry (n, 3) and covariances (n, 3, 3) of n
+    robots.
     """
     observations, infos = robots.reset(seed)
     _begin(driver, infos, seed)
-    truth, beliefs, is_over, is_late = list[_Infos](), list[tuple[FloatArray, FloatArray, FloatArray]](), False, False
+    truth, beliefs, is_over, is_late = (
+        list[_Infos](),
+        list[tuple[FloatArray, FloatArray, FloatArray]](),
+        False,
+        False,
+    )
     while True:
         # The last observation only updates the estimate; its action is not executed.
         actions = driver.act(observations)
@@ -241,4 +281,6 @@ def _drive(
 def _begin(driver: Driver, infos: _Infos, seed: int) -> None:
     driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
     if driver.done:
-        raise ValueError(f"the actor was done before seed {seed} began: a policy serves for one run only")
+        raise ValueError(
+            f"the actor was done before seed {seed} began: a policy serves for one run only"
+        )

@@ -1,7 +1,8 @@
 """Repeats a finished run from its own log, and records it for the inspector.
 
-The observations of the log go through the same agent again. The agent is deterministic, so it believes at each step
-what it believed in the run, which is checked against the trajectory in the folder.
+The observations of the log go through the same agent again. The agent is deterministic, so it
+believes at each step what it believed in the run, which is checked against the trajectory in the
+folder.
 """
 
 import json
@@ -35,7 +36,9 @@ Progress = Callable[[int], None]
 """Called after each step with the number of steps that are done."""
 
 SAME = 2e-6
-"""Poses that differ by less than this, m and rad, are equal: the files of trajectories have six digits."""
+"""Poses that differ by less than this, m and rad, are equal: the files of trajectories have six
+digits.
+"""
 
 _LOOPS, _GRAPH = "loops.json", "graph.json"
 
@@ -44,8 +47,8 @@ _LOOPS, _GRAPH = "loops.json", "graph.json"
 class Inspection:
     """A recording of a run: what the page holds, and the number of frames.
 
-    ``difference`` is the largest one, m and rad, between the poses and those in the run's folder. None if there is no
-    folder.
+    ``difference`` is the largest one, m and rad, between the poses and those in the run's folder.
+    None if there is no folder.
     """
 
     arrays: dict[str, NDArray[Any]]
@@ -61,22 +64,32 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
         missing = LOG if readings is None else "trajectory_true.tum"
         raise FolderError(f"{run.folder}: there is no {missing}, so the run cannot be inspected")
     world, true = load_world(config.world), np.array(run.true).swapaxes(0, 1)
-    # A tour, which knows the true pose, cannot decide from the log alone, and the code in a file is not executed again.
+    # A tour, which knows the true pose, cannot decide from the log alone, and the code in a file is
+    # not executed again.
     is_repeated = not (config.policy == TOUR or is_file_policy(config.policy))
     team = team_of(config, policies_of(config, world) if is_repeated else None)
     team.reset(told_starts(config, true[0]), config.seed)
     recorder = Recorder(team.mapper, len(run.time))
     for row, (ranges, wheels) in enumerate(zip(readings.ranges, readings.wheels, strict=True)):
-        team.observe([{"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)])
+        team.observe(
+            [{"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)]
+        )
         if is_repeated:
             team.decide()
-        recorder.note(run.time[row], _new(config.robot, ranges, row), team.policies if is_repeated else None, true[row])
+        recorder.note(
+            run.time[row],
+            _new(config.robot, ranges, row),
+            team.policies if is_repeated else None,
+            true[row],
+        )
         progress(row + 1)
     team.finish()
     recorder.finish()
     if config.kidnap_at is not None:
         row = round(config.kidnap_at / config.robot.control_period)
-        recorder.log.mark(min(row, len(run.time) - 1), "kidnap", "the robot is carried to another place")
+        recorder.log.mark(
+            min(row, len(run.time) - 1), "kidnap", "the robot is carried to another place"
+        )
     return _inspection(recorder, team.mapper, run, world.edges)
 
 
@@ -89,10 +102,13 @@ def inspect_log(
 ) -> Inspection:
     """Record the replay of a log, in the map of an earlier run where there is one.
 
-    ``run`` is the folder of the replay, with what is known at its end. None for a log that was not replayed.
+    ``run`` is the folder of the replay, with what is known at its end. None for a log that was not
+    replayed.
     """
     if run is not None and len(run.time) != len(log):
-        raise FolderError(f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log")
+        raise FolderError(
+            f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log"
+        )
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = float("inf")  # as in a replay
     recorder, handed_over = Recorder(mapper, len(log)), len(log)
@@ -100,14 +116,22 @@ def inspect_log(
         mapper.step(observation)
         if is_handed_over(log, config, mapper.statuses[0]):
             handed_over = min(handed_over, row)
-        seen = log.ranges[row][None] if log.has_scan[row] else np.full((1, log.ranges.shape[1]), np.nan)
+        seen = (
+            log.ranges[row][None]
+            if log.has_scan[row]
+            else np.full((1, log.ranges.shape[1]), np.nan)
+        )
         true = None if log.true_pose is None else log.true_pose[row][None]
         recorder.note(log.time[row], _new(log.robot, seen, row), true=true)
         progress(row + 1)
     mapper.finish()
     recorder.finish()
     if handed_over < len(log):
-        recorder.log.mark(handed_over, "handover", "the filter is lost, and the replay goes on with the online graph")
+        recorder.log.mark(
+            handed_over,
+            "handover",
+            "the filter is lost, and the replay goes on with the online graph",
+        )
     return _inspection(recorder, mapper, run, None, handed_over)
 
 
@@ -117,7 +141,11 @@ def _new(robot: RobotSpec, ranges: FloatArray, row: int) -> FloatArray:
 
 
 def _inspection(
-    recorder: Recorder, mapper: Mapper, run: FinishedRun | None, edges: FloatArray | None, end: int | None = None
+    recorder: Recorder,
+    mapper: Mapper,
+    run: FinishedRun | None,
+    edges: FloatArray | None,
+    end: int | None = None,
 ) -> Inspection:
     """The inspection of a run whose folder has the poses of the filter before the row ``end``."""
     arrays, rows = recorder.arrays(), np.array(recorder.frame_rows)
@@ -130,8 +158,12 @@ def _inspection(
         arrays["smoothed"] = np.array(run.smoothed).swapaxes(0, 1)[rows].astype(np.float32)
     arrays["final_walls"] = run.segments.astype(np.float32)
     start = float(run.time[0])
-    meta["path_loops"] = _read(run.folder / _LOOPS, lambda told: [_loop(each, start) for each in told], [])
-    meta["graph"] = _read(run.folder / _GRAPH, lambda told: _graph(told, start), {"key_poses": [], "local_maps": []})
+    meta["path_loops"] = _read(
+        run.folder / _LOOPS, lambda told: [_loop(each, start) for each in told], []
+    )
+    meta["graph"] = _read(
+        run.folder / _GRAPH, lambda told: _graph(told, start), {"key_poses": [], "local_maps": []}
+    )
     difference = _difference(recorder, mapper, run, end)
     return Inspection(arrays, {**meta, "check": _words(difference)}, len(rows), difference)
 
@@ -139,9 +171,9 @@ def _inspection(
 def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun, end: int | None) -> float:
     """Largest difference between the poses of the recording and those in the folder, m and rad.
 
-    The folder has the poses of a robot that had to find its place in an earlier map, or another robot, in the frame
-    that was found later. They are compared from then on. From the row ``end`` on, the folder has those of the online
-    graph, which are not recorded.
+    The folder has the poses of a robot that had to find its place in an earlier map, or another
+    robot, in the frame that was found later. They are compared from then on. From the row ``end``
+    on, the folder has those of the online graph, which are not recorded.
     """
     rows = np.array(recorder.frame_rows)
     off = recorder.poses() - np.array(run.estimated).swapaxes(0, 1)[rows]
@@ -157,11 +189,16 @@ def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun, end: int |
 def _words(difference: float) -> str:
     if difference <= SAME:
         return "The poses equal those in the folder of the run."
-    return f"The poses differ by up to {difference:.2g} (m, rad) from those in the folder: its version was another one."
+    return (
+        f"The poses differ by up to {difference:.2g} (m, rad) from those in the folder: its "
+        "version was another one."
+    )
 
 
 def _read(path: Path, found: Callable[[Any], Any], otherwise: Any) -> Any:
-    """What a function finds in a JSON file of the smoother, or something else if there is no such file."""
+    """What a function finds in a JSON file of the smoother, or something else if there is no such
+    file.
+    """
     if not path.is_file():
         return otherwise
     try:
@@ -180,6 +217,8 @@ def _graph(told: dict[str, Any], start: float) -> dict[str, Any]:
 
 def _loop(told: dict[str, Any], start: float) -> dict[str, Any]:
     return {
-        "first": rounded(told["first_time"] - start, 3), "second": rounded(told["second_time"] - start, 3),
-        "score": rounded(told["score"]), "reason": str(told["reason"]),
-    }  # fmt: skip
+        "first": rounded(told["first_time"] - start, 3),
+        "second": rounded(told["second_time"] - start, 3),
+        "score": rounded(told["score"]),
+        "reason": str(told["reason"]),
+    }

@@ -1,8 +1,10 @@
-"""The offline optimum of a run: the best estimate of its path, given which wall each beam truly hit.
+"""The offline optimum of a run: the best estimate of its path, given which wall each beam truly
+hit.
 
-All poses and all wall lines are estimated together by least squares, as the line smoother does it, but nothing is left
-to be associated, and contact is known. Nothing else of the truth is used: neither where the walls are, nor which of
-them are parallel. The ratio of an estimator's error to the error of this optimum shows how much the estimator loses.
+All poses and all wall lines are estimated together by least squares, as the line smoother does it,
+but nothing is left to be associated, and contact is known. Nothing else of the truth is used:
+neither where the walls are, nor which of them are parallel. The ratio of an estimator's error to
+the error of this optimum shows how much the estimator loses.
 """
 
 from dataclasses import replace
@@ -30,21 +32,23 @@ def offline_optimum(
 ) -> FloatArray | None:
     """The poses (t, n, 3) of n robots with the least sum of squared residuals, m and rad.
 
-    Readings that hit nothing or another robot, repeated readings of slow sensors, readings at grazing angles, and walls
-    with few readings are left out.
+    Readings that hit nothing or another robot, repeated readings of slow sensors, readings at
+    grazing angles, and walls with few readings are left out.
 
     Parameters
     ----------
     robot, noise
-        Body and beams of each robot, and the noise that is assumed; 5 mm of a range where it is less.
+        Body and beams of each robot, and the noise that is assumed; 5 mm of a range where it is
+        less.
     true
-        Poses (t, n, 3), m and rad, from which the iteration begins. The first row is the known start.
+        Poses (t, n, 3), m and rad, from which the iteration begins. The first row is the known
+        start.
     wheels, ranges, wall_seen
-        (t, n, 2), m, (t, n, n_beams), m, and (t, n, n_beams): the log, row 0 the moment of the reset, and the wall that
-        each beam truly hit (-1 nothing, -2 a robot).
+        (t, n, 2), m, (t, n, n_beams), m, and (t, n, n_beams): the log, row 0 the moment of the
+        reset, and the wall that each beam truly hit (-1 nothing, -2 a robot).
     contact
-        (t, n), in which rows a robot touches something. In these rows the wheels slip, and their travel only bounds
-        the motion.
+        (t, n), in which rows a robot touches something. In these rows the wheels slip, and their
+        travel only bounds the motion.
 
     Returns
     -------
@@ -58,7 +62,8 @@ def offline_optimum(
     walls = wall_seen[step, number, problem.readings.beams]
     try:
         found = solve_labels(problem, state_from_poses(problem, true), walls)
-        # A solution ends before it has converged to the last digit, and finds grazing readings by the poses before it.
+        # A solution ends before it has converged to the last digit, and finds grazing readings by
+        # the poses before it.
         for _ in range(_MOST_SOLUTIONS):
             before = found.state.poses
             found = solve_again(problem, found.state, found.labels)
@@ -70,7 +75,9 @@ def offline_optimum(
 
 
 def _with_contact(problem: Problem, wheel_variance: float, contact: BoolArray) -> Problem:
-    """The problem with motions that are as exact as the wheels, except where a robot touches something."""
+    """The problem with motions that are as exact as the wheels, except where a robot touches
+    something.
+    """
     travel = np.abs(problem.wheels)
     stds = np.sqrt(wheel_variance * travel + LEAST_VARIANCE)
     stds[..., 2] = ASIDE_STD

@@ -26,7 +26,9 @@ BELIEF_POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "lear
 """Policies that act on the belief alone."""
 
 TOUR_SPEEDS = Speeds(LAP_SPEED, TURN_RATE)
-"""Speeds of a tour. They do not depend on the preset, so that all estimators listen to the same drive."""
+"""Speeds of a tour. They do not depend on the preset, so that all estimators listen to the same
+drive.
+"""
 
 _ARRIVED = 0.003  # m, smaller than the distance between a tour and the walls
 
@@ -34,11 +36,14 @@ _ARRIVED = 0.003  # m, smaller than the distance between a tour and the walls
 class Tour:
     """Drives past waypoints by the true pose. What is measured or believed plays no role.
 
-    The robot turns on the spot towards each waypoint and then drives straight. ``planner`` plans waypoints (k, 2), m,
-    from the true pose (3,): at the start, and whenever all have been passed, ``tours`` times at most.
+    The robot turns on the spot towards each waypoint and then drives straight. ``planner`` plans
+    waypoints (k, 2), m, from the true pose (3,): at the start, and whenever all have been passed,
+    ``tours`` times at most.
     """
 
-    def __init__(self, robot: RobotSpec, planner: Callable[[FloatArray], FloatArray], tours: int = 1) -> None:
+    def __init__(
+        self, robot: RobotSpec, planner: Callable[[FloatArray], FloatArray], tours: int = 1
+    ) -> None:
         self._robot, self._planner, self._tours = robot, planner, tours
         self._pose = np.zeros(3)
         self.stop_reason: str | None = None
@@ -61,7 +66,8 @@ class Tour:
             return np.zeros(2)
         period, (drive, turn) = self._robot.control_period, TOUR_SPEEDS
         error, distance = bearing_of(self._pose, self.plan[0]), self._distance()
-        # An error that one step can correct is corrected while driving. A larger error is corrected on the spot.
+        # An error that one step can correct is corrected while driving. A larger error is corrected
+        # on the spot.
         speed = min(drive, distance / period) if abs(error) <= turn * period else 0.0
         return wheel_speeds(speed, float(np.clip(error / period, -turn, turn)), self._robot)
 
@@ -85,7 +91,9 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
         file_and_name(policy)
     elif policy not in {*BELIEF_POLICIES, TOUR}:
         known = ", ".join((*BELIEF_POLICIES, TOUR))
-        raise ValueError(f"no policy is called {policy!r}; there are {known}, or a file: FILE.py:CLASS")
+        raise ValueError(
+            f"no policy is called {policy!r}; there are {known}, or a file: FILE.py:CLASS"
+        )
     if laps and policy not in {"frontier", TOUR}:
         raise ValueError(f"laps go with the policies frontier and tour, not with {policy!r}")
     if robots > 1 and (laps or policy == TOUR):
@@ -94,16 +102,22 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
 
 
 def check_belief_policy(policy: str) -> None:
-    """Check that the policy exists and acts on the belief alone, before there is a robot to make it for."""
+    """Check that the policy exists and acts on the belief alone, before there is a robot to make it
+    for.
+    """
     check_policy(policy, laps=0, robots=1)
     if policy == TOUR:
-        raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
+        raise ValueError(
+            f"the policy {policy!r} knows the truth: use limslam run --policy {policy}"
+        )
 
 
 def policies_by_belief(
     policy: str, robot: RobotSpec, config: AgentConfig, *, robots: int, seed: int
 ) -> list[Policy] | None:
-    """A policy for each robot that acts on the belief alone. None for ``frontier``: a team makes those itself."""
+    """A policy for each robot that acts on the belief alone. None for ``frontier``: a team makes
+    those itself.
+    """
     check_belief_policy(policy)
     if is_file_policy(policy):
         return file_policies(policy, robot, config.policy, robots=robots, seed=seed)
@@ -112,7 +126,9 @@ def policies_by_belief(
     return [_policy_for(policy, robot, config, number, seed) for number in range(robots)]
 
 
-def _policy_for(policy: str, robot: RobotSpec, config: AgentConfig, number: int, seed: int) -> Policy:
+def _policy_for(
+    policy: str, robot: RobotSpec, config: AgentConfig, number: int, seed: int
+) -> Policy:
     """A policy that acts on the belief."""
     if policy == "frontier_fast":
         fast = replace(config.policy, speed=robot.max_wheel_speed)

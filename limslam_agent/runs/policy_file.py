@@ -1,4 +1,6 @@
-"""Policies from a Python file that the user names: ``FILE.py:NAME``, a class or a function that makes a policy."""
+"""Policies from a Python file that the user names: ``FILE.py:NAME``, a class or a function that
+makes a policy.
+"""
 
 import importlib.util
 import inspect
@@ -22,7 +24,9 @@ OFFERED = ("robot", "config", "seed")
 
 
 class PolicyFileError(ValueError):
-    """A policy cannot be loaded from its file, or code in the file has raised an error. The message names the line."""
+    """A policy cannot be loaded from its file, or code in the file has raised an error. The message
+    names the line.
+    """
 
 
 def is_file_policy(policy: str) -> bool:
@@ -42,7 +46,9 @@ def file_and_name(policy: str) -> tuple[Path, str]:
     """The file, and the name of the class or the function in it."""
     path, _, name = policy.rpartition(":")
     if not path.endswith(".py"):
-        raise PolicyFileError(f"{policy}: the name of the policy in the file is missing: FILE.py:CLASS")
+        raise PolicyFileError(
+            f"{policy}: the name of the policy in the file is missing: FILE.py:CLASS"
+        )
     if not name.isidentifier():
         raise PolicyFileError(f"{policy}: {name!r} cannot be the name of a class or a function")
     if not Path(path).is_file():
@@ -50,14 +56,18 @@ def file_and_name(policy: str) -> tuple[Path, str]:
     return Path(path), name
 
 
-def file_policies(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int) -> list[Policy]:
+def file_policies(
+    policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int
+) -> list[Policy]:
     """A new policy of a file for each robot. Each has its own random generator as ``seed``."""
     path, name = file_and_name(policy)
     made = made_by_file(policy, robot, config, robots=robots, seed=seed)
     return [_checked(each, f"{path}: {name}") for each in made]
 
 
-def made_by_file(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int) -> list[Any]:
+def made_by_file(
+    policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int
+) -> list[Any]:
     """What a class or a function of a file makes for each robot, which may be a policy or an actor.
 
     Raises
@@ -76,7 +86,8 @@ def made_by_file(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots:
 
 @contextmanager
 def naming_lines_of(policy: str) -> Iterator[None]:
-    """Turn an error that code of a policy's file raises into one line with its place. Other errors are unchanged.
+    """Turn an error that code of a policy's file raises into one line with its place. Other errors
+    are unchanged.
 
     Raises
     ------
@@ -93,13 +104,19 @@ def naming_lines_of(policy: str) -> Iterator[None]:
 
 
 def _place_in_file(error: Exception, policy: str) -> str | None:
-    """The last line of a policy's file that an error has passed through. None if there is no such line."""
+    """The last line of a policy's file that an error has passed through. None if there is no such
+    line.
+    """
     path = str(policy.rpartition(":")[0])
     frames = [
-        frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(Path(path).absolute())
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == str(Path(path).absolute())
     ]
     if isinstance(error, SyntaxError):
-        return f"{path}, line {error.lineno}" if error.filename == str(Path(path).absolute()) else None
+        return (
+            f"{path}, line {error.lineno}" if error.filename == str(Path(path).absolute()) else None
+        )
     if not frames:
         return None
     where = "" if frames[-1].name == "<module>" else f", in {frames[-1].name}"
@@ -127,10 +144,20 @@ def _maker(module: ModuleType, path: Path, name: str) -> Callable[[dict[str, Any
     if maker is None:
         raise PolicyFileError(f"{path}: has no class and no function {name}")
     if not (inspect.isclass(maker) or inspect.isfunction(maker)):
-        raise PolicyFileError(f"{path}: {name} is neither a class nor a function that makes a policy")
+        raise PolicyFileError(
+            f"{path}: {name} is neither a class nor a function that makes a policy"
+        )
     parameters = inspect.signature(maker).parameters.values()
-    named = {part.name for part in parameters if part.kind in {part.POSITIONAL_OR_KEYWORD, part.KEYWORD_ONLY}}
-    needed = [part.name for part in parameters if part.default is part.empty and part.name in named - set(OFFERED)]
+    named = {
+        part.name
+        for part in parameters
+        if part.kind in {part.POSITIONAL_OR_KEYWORD, part.KEYWORD_ONLY}
+    }
+    needed = [
+        part.name
+        for part in parameters
+        if part.default is part.empty and part.name in named - set(OFFERED)
+    ]
     if needed:
         raise PolicyFileError(
             f"{path}: {name} needs the argument {needed[0]}: a policy is made without arguments, "
@@ -145,6 +172,8 @@ def _checked(policy: Any, label: str) -> Policy:
     except ValueError as error:
         raise PolicyFileError(f"{label}: {error}") from error
     if not is_one:
-        raise PolicyFileError(f"{label} makes no policy: a policy has act(belief), stop_reason and plan")
+        raise PolicyFileError(
+            f"{label} makes no policy: a policy has act(belief), stop_reason and plan"
+        )
     made: Policy = policy
     return made

@@ -1,4 +1,6 @@
-"""The record of a run, and what is known at its end: the smoothed path, and the map that is drawn from it."""
+"""The record of a run, and what is known at its end: the smoothed path, and the map that is drawn
+from it.
+"""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
 class FinalMap:
     """The map of a finished run, from which its files, its picture and its scores are made.
 
-    Walls (k, 4), m, cut at doors and holes; the lines that they lie on; and the poses (t, n, 3), m and rad, that the
-    map was drawn from.
+    Walls (k, 4), m, cut at doors and holes; the lines that they lie on; and the poses (t, n, 3), m
+    and rad, that the map was drawn from.
     """
 
     segments: FloatArray
@@ -45,50 +47,58 @@ class Episode:
     config: RunConfig
     world: World
     time: FloatArray  # (t,), s
-    # ranges, wheels: observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m
+    # Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m
     ranges: FloatArray
     wheels: FloatArray
-    actions: FloatArray  # answer to each observation (t, n, 2). The action of a row leads to the next row.
-    # true, estimated, odometry: poses (t, n, 3): the truth, the estimate, and odometry alone
+    # answer to each observation (t, n, 2). The action of a row leads to the next row.
+    actions: FloatArray
+    # Poses (t, n, 3): the truth, the estimate, and odometry alone
     true: FloatArray
     estimated: FloatArray
     odometry: FloatArray
     covariances: FloatArray  # (t, n, 3, 3), of the estimated poses
-    # Status of each robot's estimate (t, n), as an index into ``status.LEVELS``: 0 ok, 1 unsure, 2 lost
+    # Status of each robot's estimate (t, n), an index into ``status.LEVELS``
     levels: IntArray
     wall_seen: IntArray  # what each beam truly hit (t, n, n_beams)
-    dropped: BoolArray  # beams that were ignored because they may have hit another robot (t, n, n_beams)
-    # coverage, contact: true coverage by all robots together (t,), and whether each robot touches something (t, n)
+    # Which beams were ignored because they may have hit another robot, an array of (t, n, n_beams)
+    dropped: BoolArray
+    # True coverage by all robots together (t,), and whether each robot touches
+    # Which beams were ignored because they may have hit another robot, in the shape of wall_seen.
     coverage: FloatArray
     contact: BoolArray
-    # associations, closures: the association of each observed line, and the loops that were closed
+    # The association of each observed line, and the loops that were closed
     associations: list[AssociationRecord]
     closures: list[Closure]
-    # Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed
+    # Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was
+    # needed
     calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
     places: PlaceHistory  # what happened when the robot was lost
-    # Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
+    # Whether the robot's place in an earlier map was found. The poses are in the frame of that map
+    # then.
     in_prior_map: bool
     snapshot: Snapshot  # what is believed at the end
     coverage_grid: CoverageGrid  # the cells that count for coverage
     # stop_reason, is_finished: why the run ended, and whether the agent itself said so
     stop_reason: str
     is_finished: bool
-    # slam_ms, decide_ms, wall_clock: cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,),
-    # ms. Cost of the whole loop, s.
+    # slam_ms, decide_ms, wall_clock: cost of a step: the SLAM alone (t,), ms, and the grid with the
+    # policies (t,), ms. Cost of the whole loop, s.
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
     is_joined: bool = True  # whether the robots share a frame at the end
-    # How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
+    # How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing
+    # of the kind.
     sensor: RangeSensor | None = None
-    # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the SLAM takes it at
-    # the end; None if it takes no beam to be turned
+    # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the
+    # SLAM takes it at the end; None if it takes no beam to be turned
     beam_turns: FloatArray | None = None
 
     @property
     def placed_steps(self) -> slice:
-        """The steps in which the poses are known in the frame of the map. A lost robot may end in another one."""
+        """The steps in which the poses are known in the frame of the map. A lost robot may end in
+        another one.
+        """
         known = self.places.placed
         return known if self.config.robots == 1 and known.stop != 0 else slice(None)
 
@@ -99,13 +109,15 @@ class Episode:
 
     @property
     def revised(self) -> tuple[FloatArray, FloatArray]:
-        """Estimated poses (t, n, 3) and covariances, of the steps in which a robot was lost by what was known later."""
+        """Estimated poses (t, n, 3) and covariances, of the steps in which a robot was lost by what
+        was known later.
+        """
         return revised(self.estimated, self.covariances, self.places.revisions)
 
     @cached_property
     def smoothed(self) -> "SmoothedRun | None":
-        """All poses and walls by what was known at the end. None if the settings do not ask for it, or if there is
-        nothing to smooth.
+        """All poses and walls by what was known at the end. None if the settings do not ask for it,
+        or if there is nothing to smooth.
 
         Only the associations of the consistent estimator can be smoothed.
         """
@@ -114,7 +126,11 @@ class Episode:
         if settings is None or self.in_prior_map or self.placed_robots < self.config.robots:
             return None
         # The kernels of the smoother load numba, which takes time that other commands do not need.
-        from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, smooth_with_unknown_start
+        from limslam_agent.slam.line_graph.smoother import (
+            FilteredRun,
+            smooth_run,
+            smooth_with_unknown_start,
+        )
 
         places, (poses, covariances) = self.places, self.revised
         run = FilteredRun(
@@ -138,11 +154,15 @@ class Episode:
     @property
     def online_map(self) -> FinalMap:
         """The map as the robots knew it when the run stopped."""
-        return FinalMap(self.snapshot.segments, self.snapshot.landmarks, self.snapshot.grid, self.revised[0])
+        return FinalMap(
+            self.snapshot.segments, self.snapshot.landmarks, self.snapshot.grid, self.revised[0]
+        )
 
     @cached_property
     def final_map(self) -> FinalMap:
-        """The map by all that is known at the end: drawn from the smoothed poses, if the run was smoothed."""
+        """The map by all that is known at the end: drawn from the smoothed poses, if the run was
+        smoothed.
+        """
         smoothed, config = self.smoothed, self.config
         if smoothed is None:
             return self.online_map
@@ -152,5 +172,7 @@ class Episode:
         if self.sensor is not None:
             measured[..., list(self.sensor.broken)] = False
         used = self.placed_steps
-        grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.read_at[used], ranges[used], measured[used])
+        grid = drawn_grid(
+            config.agent.grid, smoothed.robot, smoothed.read_at[used], ranges[used], measured[used]
+        )
         return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)

@@ -1,4 +1,6 @@
-"""Films a run: each frame shows a picture of the truth beside what the recording of the run says about the belief."""
+"""Films a run: each frame shows a picture of the truth beside what the recording of the run says
+about the belief.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,7 +35,12 @@ class FilmedRun:
         self._hough: HoughView | None = None
 
     def watch(
-        self, recorder: Recorder, team: LimSlamTeam, env: LimSlamParallelEnv, time: float, coverage: float
+        self,
+        recorder: Recorder,
+        team: LimSlamTeam,
+        env: LimSlamParallelEnv,
+        time: float,
+        coverage: float,
     ) -> None:
         """Add a frame of a step that was recorded, when one is due."""
         self._words = team.stop_reason or "the run's longest time is over"
@@ -58,9 +65,12 @@ class FilmedRun:
             poses=snapshot.poses,
             covariances=snapshot.covariances,
             walls=marks,
-            unsure=frozenset(mark.number + 1 for mark in marks) - {mark.number + 1 for mark in snapshot.landmarks},
+            unsure=frozenset(mark.number + 1 for mark in marks)
+            - {mark.number + 1 for mark in snapshot.landmarks},
             grid=grid,
-            frontier=grid.centres(np.argwhere(frontier_cells(grid, team.config.policy.min_frontier))),
+            frontier=grid.centres(
+                np.argwhere(frontier_cells(grid, team.config.policy.min_frontier))
+            ),
             plans=snapshot.plans,
             goals=[getattr(policy, "goal", None) for policy in team.policies],
             new_goals=sorted({event["robot"] for event in events if event["kind"] == "goal"}),
@@ -77,7 +87,9 @@ class FilmedRun:
 
 
 @contextmanager
-def filming(path: Path, config: RunConfig, title: str, *, force: bool = False) -> Iterator[FilmedRun]:
+def filming(
+    path: Path, config: RunConfig, title: str, *, force: bool = False
+) -> Iterator[FilmedRun]:
     """The film of one run. The file appears when the context ends without an error."""
     corners = load_world(config.world).edges.reshape(-1, 2)
     with video_file(path, FPS, (WIDTH, HEIGHT), force=force) as writer:

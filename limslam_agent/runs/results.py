@@ -12,10 +12,23 @@ import numpy as np
 
 from limslam_agent.logs.recorded_log import write_npz
 from limslam_agent.mapping.joining import NOT_YET_CONFIRMED
-from limslam_agent.output.export import WallsAndGrid, map_content, plain, write_covariances, write_json, write_map
+from limslam_agent.output.export import (
+    WallsAndGrid,
+    map_content,
+    plain,
+    write_covariances,
+    write_json,
+    write_map,
+)
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
 from limslam_agent.output.provenance import versions
-from limslam_agent.output.summary import calibration_record, place_records, record_of, run_cost, turn_records
+from limslam_agent.output.summary import (
+    calibration_record,
+    place_records,
+    record_of,
+    run_cost,
+    turn_records,
+)
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.optimum import offline_optimum
@@ -24,28 +37,50 @@ from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.status import LEVELS, final_status_scores, lost_since, smoothed_status, status_scores, worst
+from limslam_agent.status.status import (
+    LEVELS,
+    final_status_scores,
+    lost_since,
+    smoothed_status,
+    status_scores,
+    worst,
+)
 from limslam_env import metrics
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics import AssociationEvent, association_metrics, closure_metrics, dropped_beam_metrics
+from limslam_env.metrics import (
+    AssociationEvent,
+    association_metrics,
+    closure_metrics,
+    dropped_beam_metrics,
+)
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.tables import world_toml
 from limslam_env.worlds.world import World
 
-_ALIGNED_WALLS = "wall_f1_aligned", "wall_f1_aligned_5cm", "spurious_walls", "spurious_m", "duplicate_m"
+_ALIGNED_WALLS = (
+    "wall_f1_aligned",
+    "wall_f1_aligned_5cm",
+    "spurious_walls",
+    "spurious_m",
+    "duplicate_m",
+)
 _IN_ANY_FRAME = {
-    "ate_aligned_m", "limit_ate_m", "coverage_claimed", "landmarks", *_ALIGNED_WALLS,
+    "ate_aligned_m",
+    "limit_ate_m",
+    "coverage_claimed",
+    "landmarks",
+    *_ALIGNED_WALLS,
     *(f"{name}_online" for name in _ALIGNED_WALLS),
-}  # fmt: skip
+}
 
 
 def trajectory_scores(
     true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
 ) -> dict[str, float | None]:
-    """Errors of an estimated trajectory (n, 3) with covariances (n, 3, 3), and of odometry (n, 3), against the truth
-    (n, 3).
+    """Errors of an estimated trajectory (n, 3) with covariances (n, 3, 3), and of odometry (n, 3),
+    against the truth (n, 3).
     """
     by_odometry = metrics.trajectory_metrics(true, odometry)
     return {
@@ -56,10 +91,17 @@ def trajectory_scores(
 
 
 def score(episode: Episode) -> dict[str, Any]:
-    """Metrics of a run by their names in ``docs/metrics.md``. For several robots, means over the robots."""
+    """Metrics of a run by their names in ``docs/metrics.md``. For several robots, means over the
+    robots.
+    """
     config = episode.config
-    events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
-    placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
+    events, closed = (
+        _events(episode),
+        [(closure.older, closure.younger) for closure in episode.closures],
+    )
+    placed = slice(
+        episode.placed_robots
+    )  # the poses of a robot that was not placed are in a frame of its own
     known, online = episode.placed_steps, None if episode.smoothed is None else episode.online_map
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = over_robots(trajectory_scores, *(rows[:, placed] for rows in columns))
@@ -74,15 +116,22 @@ def score(episode: Episode) -> dict[str, Any]:
         episode.final_map,
         episode.true[known, placed],
         episode.final_map.poses[known, placed],
-        None if online is None else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
+        None
+        if online is None
+        else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
     )
     estimates = {**trajectory, **limit, **smoothed, **walls}
     if config.prior_map is not None and not episode.in_prior_map:
-        # The estimates are in a frame of their own, and can be compared with the truth only when aligned.
-        estimates = {name: value if name in _IN_ANY_FRAME else None for name, value in estimates.items()}
+        # The estimates are in a frame of their own, and can be compared with the truth only when
+        # aligned.
+        estimates = {
+            name: value if name in _IN_ANY_FRAME else None for name, value in estimates.items()
+        }
     return {
         **estimates,
-        **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
+        **drive_scores(
+            episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored
+        ),
         **association_metrics(events, len(episode.world.edges)),
         **closure_metrics(events, closed, len(episode.world.edges)),
         **dropped_beam_metrics(episode.dropped, episode.wall_seen),
@@ -92,24 +141,36 @@ def score(episode: Episode) -> dict[str, Any]:
     }
 
 
-def over_robots(scores: Callable[..., Mapping[str, float | None]], *columns: FloatArray) -> dict[str, float | None]:
+def over_robots(
+    scores: Callable[..., Mapping[str, float | None]], *columns: FloatArray
+) -> dict[str, float | None]:
     """Means over n robots of the scores of each one, from columns (t, n, ...)."""
-    return mean_scores([scores(*(rows[:, one] for rows in columns)) for one in range(columns[0].shape[1])])
+    return mean_scores(
+        [scores(*(rows[:, one] for rows in columns)) for one in range(columns[0].shape[1])]
+    )
 
 
 def mean_scores(each: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
     """Means of several scores. A mean is None if one of them has no value."""
     columns: dict[str, Any] = {name: [scores[name] for scores in each] for name in each[0]}
-    return {name: None if None in values else float(np.mean(values)) for name, values in columns.items()}
+    return {
+        name: None if None in values else float(np.mean(values)) for name, values in columns.items()
+    }
 
 
 def drive_scores(
-    time: FloatArray, coverage: FloatArray, true: FloatArray, contact: BoolArray, *, has_explored: bool
+    time: FloatArray,
+    coverage: FloatArray,
+    true: FloatArray,
+    contact: BoolArray,
+    *,
+    has_explored: bool,
 ) -> dict[str, float | None]:
     """Metrics that need no estimate.
 
-    They are made from times (t,), s, true coverage (t,), 0 to 1, true poses (t, n, 3), and whether each robot touches
-    something (t, n). ``has_explored`` says whether the agent itself has ended an exploration.
+    They are made from times (t,), s, true coverage (t,), 0 to 1, true poses (t, n, 3), and whether
+    each robot touches something (t, n). ``has_explored`` says whether the agent itself has ended an
+    exploration.
     """
     return {
         "path_m": float(np.mean([metrics.path_length(poses) for poses in true.swapaxes(0, 1)])),
@@ -129,15 +190,20 @@ def map_scores(
     estimated: FloatArray,
     online: tuple[FinalMap, FloatArray] | None = None,
 ) -> dict[str, float | None]:
-    """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it with the world.
+    """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it
+    with the world.
 
-    If the map is a smoothed one, ``online`` is what the robots knew when the run stopped, with the true poses of its
-    own steps. The metrics of its walls end in ``_online``.
+    If the map is a smoothed one, ``online`` is what the robots knew when the run stopped, with the
+    true poses of its own steps. The metrics of its walls end in ``_online``.
     """
     segments, grid = final.segments, final.grid
     claimed = grid.centres(np.argwhere(grid.free))
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
-    before = {} if online is None else _wall_scores(world, visible, online[0].segments, online[1], online[0].poses)
+    before = (
+        {}
+        if online is None
+        else _wall_scores(world, visible, online[0].segments, online[1], online[0].poses)
+    )
     return {
         **_wall_scores(world, visible, segments, true, estimated),
         **{f"{name}_online": value for name, value in before.items()},
@@ -148,7 +214,11 @@ def map_scores(
 
 
 def _wall_scores(
-    world: World, visible: metrics.WallSamples, segments: FloatArray, true: FloatArray, estimated: FloatArray
+    world: World,
+    visible: metrics.WallSamples,
+    segments: FloatArray,
+    true: FloatArray,
+    estimated: FloatArray,
 ) -> dict[str, float]:
     # All robots share one map, so one rigid motion aligns it.
     alignment = metrics.rigid_alignment(true.reshape(-1, 3)[:, :2], estimated.reshape(-1, 3)[:, :2])
@@ -162,17 +232,28 @@ def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, flo
     """
     config, true = episode.config, episode.true
     limit = offline_optimum(
-        config.robot, config.agent.noise, true, episode.wheels, episode.ranges, episode.wall_seen, episode.contact
+        config.robot,
+        config.agent.noise,
+        true,
+        episode.wheels,
+        episode.ranges,
+        episode.wall_seen,
+        episode.contact,
     )
     if limit is None:
         return {"limit_ate_m": None, "ate_over_limit": None}
     errors = np.linalg.norm(limit[..., :2] - true[..., :2], axis=-1)
     best = float(np.sqrt(np.mean(errors**2, axis=0)).mean())
-    return {"limit_ate_m": best, "ate_over_limit": ate / best if ate is not None and best > 0.0 else None}
+    return {
+        "limit_ate_m": best,
+        "ate_over_limit": ate / best if ate is not None and best > 0.0 else None,
+    }
 
 
 def final_status(episode: Episode) -> dict[str, str]:
-    """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there are none."""
+    """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there
+    are none.
+    """
     online_statuses, smoothed = episode.snapshot.statuses, episode.smoothed
     if smoothed is None:
         return {}
@@ -192,7 +273,9 @@ def final_status(episode: Episode) -> dict[str, str]:
 
 
 def smoothed_scores(episode: Episode, limit: float | None) -> dict[str, float | None]:
-    """Metrics of the smoothed path, as means over the robots, and its ratio to the offline optimum's error (m)."""
+    """Metrics of the smoothed path, as means over the robots, and its ratio to the offline
+    optimum's error (m).
+    """
     smoothed = episode.smoothed
     if smoothed is None:
         return {}
@@ -203,12 +286,15 @@ def smoothed_scores(episode: Episode, limit: float | None) -> dict[str, float | 
     return scores
 
 
-def path_scores(true: FloatArray, smoothed: FloatArray, covariances: FloatArray | None) -> dict[str, float | None]:
+def path_scores(
+    true: FloatArray, smoothed: FloatArray, covariances: FloatArray | None
+) -> dict[str, float | None]:
     """Metrics of a smoothed path (n, 3) with covariances (n, 3, 3) against the truth (n, 3)."""
     errors = metrics.trajectory_metrics(true, smoothed)
     found: dict[str, float | None] = {
-        "ate_smoothed_m": errors["ate_m"], "heading_smoothed_rmse_deg": errors["heading_rmse_deg"],
-    }  # fmt: skip
+        "ate_smoothed_m": errors["ate_m"],
+        "heading_smoothed_rmse_deg": errors["heading_rmse_deg"],
+    }
     if covariances is not None:
         found["anees_smoothed"] = metrics.consistency_metrics(true, smoothed, covariances)["anees"]
     return plain(found)
@@ -227,8 +313,14 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     paths = {"true": episode.true, "est": episode.estimated, "odometry": episode.odometry}
     if smoothed is not None:
         paths["smoothed"] = smoothed.poses
-    write_paths(folder, episode.time, {kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()})
-    write_covariances(folder / COVARIANCES, episode.covariances, None if smoothed is None else smoothed.covariances)
+    write_paths(
+        folder, episode.time, {kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()}
+    )
+    write_covariances(
+        folder / COVARIANCES,
+        episode.covariances,
+        None if smoothed is None else smoothed.covariances,
+    )
     (folder / WORLD).write_text(world_toml(episode.world), encoding="utf-8", newline="\n")
     write_map(folder, episode.final_map)
     if smoothed is not None:
@@ -237,11 +329,14 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
     _draw(folder / "map.png", episode)
     result = {
-        "metrics": score(episode), "cost": cost(episode), "config": _config(episode), "record": _record(episode),
+        "metrics": score(episode),
+        "cost": cost(episode),
+        "config": _config(episode),
+        "record": _record(episode),
         "closures": [asdict(closure) for closure in episode.closures],
         "versions": versions(),
         "seed": episode.config.seed,
-    }  # fmt: skip
+    }
     write_json(folder / "result.json", result)
     return result
 
@@ -250,20 +345,30 @@ def _config(episode: Episode) -> dict[str, Any]:
     """The settings of a run, for ``result.json``."""
     config = episode.config
     return {
-        "world": episode.world.name, "world_digest": episode.world.digest, "noise": config.noise,
-        "robots": config.robots, "preset": config.preset, "ablation": config.ablation,
-        "policy": config.driver or short_name(config.policy), "max_time": config.max_time, "laps": config.laps,
+        "world": episode.world.name,
+        "world_digest": episode.world.digest,
+        "noise": config.noise,
+        "robots": config.robots,
+        "preset": config.preset,
+        "ablation": config.ablation,
+        "policy": config.driver or short_name(config.policy),
+        "max_time": config.max_time,
+        "laps": config.laps,
         "limit": config.limit,
-        "kidnap_at": config.kidnap_at, "map": config.prior_map and str(config.prior_map),
+        "kidnap_at": config.kidnap_at,
+        "map": config.prior_map and str(config.prior_map),
         "unknown_starts": config.unknown_starts,
-        "robot": asdict(config.robot), "agent": asdict(config.agent),
-    }  # fmt: skip
+        "robot": asdict(config.robot),
+        "agent": asdict(config.agent),
+    }
 
 
 def _record(episode: Episode) -> dict[str, Any]:
     config, sensor = episode.config, episode.sensor
     specified = RangeSensor(config.agent.range_std, cone=config.robot.cone)
-    record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
+    record = record_of(
+        episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1))
+    )
     return {
         **record,
         "places": place_records(episode.time, episode.places.records),
@@ -275,20 +380,29 @@ def _record(episode: Episode) -> dict[str, Any]:
 
 def _write_log(path: Path, episode: Episode) -> None:
     arrays: dict[str, Any] = {
-        "ranges": episode.ranges, "wheels": episode.wheels, "action": episode.actions,
-        "true_pose": episode.true, "wall_seen": episode.wall_seen,
-    }  # fmt: skip
+        "ranges": episode.ranges,
+        "wheels": episode.wheels,
+        "action": episode.actions,
+        "true_pose": episode.true,
+        "wall_seen": episode.wall_seen,
+    }
     if episode.config.robots == 1:
         arrays = {name: array[:, 0] for name, array in arrays.items()}
-    write_npz(path, episode.config.robot, time=episode.time, start_pose=arrays["true_pose"][0], **arrays)
+    write_npz(
+        path, episode.config.robot, time=episode.time, start_pose=arrays["true_pose"][0], **arrays
+    )
 
 
 def title_of(config: RunConfig) -> str:
     """The settings of a run in one line."""
     told = {
-        "world": load_world(config.world).name, "noise": config.noise, "preset": config.preset,
-        "ablation": config.ablation, "policy": config.driver or short_name(config.policy), "laps": config.laps,
-    }  # fmt: skip
+        "world": load_world(config.world).name,
+        "noise": config.noise,
+        "preset": config.preset,
+        "ablation": config.ablation,
+        "policy": config.driver or short_name(config.policy),
+        "laps": config.laps,
+    }
     return run_title(told, config.robots, config.seed)
 
 
@@ -301,9 +415,14 @@ def _draw(path: Path, episode: Episode) -> None:
         for poses in (final.poses, episode.estimated, episode.odometry, episode.true)
     )
     picture = MapPicture(
-        title, final.segments, mapped, odometry, episode.world.edges, true,
+        title,
+        final.segments,
+        mapped,
+        odometry,
+        episode.world.edges,
+        true,
         online=[] if episode.smoothed is None else estimated,
-    )  # fmt: skip
+    )
     draw_map(path, picture)
 
 
@@ -312,7 +431,11 @@ def _events(episode: Episode) -> list[AssociationEvent]:
         AssociationEvent(
             record.landmark,
             record.is_new,
-            tuple(episode.wall_seen[record.readings[:, 0], record.robot, record.readings[:, 1]].tolist()),
+            tuple(
+                episode.wall_seen[
+                    record.readings[:, 0], record.robot, record.readings[:, 1]
+                ].tolist()
+            ),
         )
         for record in episode.associations
     ]

@@ -22,7 +22,8 @@ LONGEST_TIME = 1e6
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Settings of a run: those of the options of ``limslam run`` that have the same names, and these.
+    """Settings of a run: those of the options of ``limslam run`` that have the same names, and
+    these.
 
     Attributes
     ----------
@@ -37,13 +38,14 @@ class RunConfig:
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
     driver
-        What the results call the policies that :func:`run_episode` is given. Empty calls them by ``policy``.
+        What the results call the policies that :func:`run_episode` is given. Empty calls them by
+        ``policy``.
 
     Raises
     ------
     ValueError
-        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, or the
-        world cannot be used or has no loop to drive laps on.
+        If a number is out of bounds, a preset or policy does not exist, the settings do not go
+        together, or the world cannot be used or has no loop to drive laps on.
     """
 
     world: WorldSource = "env1"
@@ -70,7 +72,10 @@ class RunConfig:
         if not 1 <= self.robots <= MAX_ROBOTS:
             raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
         if not 0.0 < self.max_time <= LONGEST_TIME:
-            raise ValueError(f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not {self.max_time:g}")
+            raise ValueError(
+                f"the longest time must be above 0 s and up to {LONGEST_TIME:g} s, not "
+                f"{self.max_time:g}"
+            )
         self._check_kidnapping()
         self._check_prior_map()
         self._check_unknown_starts()
@@ -89,7 +94,8 @@ class RunConfig:
             return
         if self.robots > 1 or self.laps or self.limit or not self.agent.can_recover:
             raise ValueError(
-                "a map of an earlier run is for one robot that explores with the preset graph or consistent"
+                "a map of an earlier run is for one robot that explores with the preset graph or "
+                "consistent"
             )
         OccupancyGrid.of(read_saved_map(self.prior_map).grid, self.agent.grid)
 
@@ -99,17 +105,24 @@ class RunConfig:
         if self.robots != 2:
             raise ValueError(f"unknown starts are for two robots, not {self.robots}")
         if self.laps or self.limit or self.policy != "frontier" or not self.agent.can_recover:
-            raise ValueError("unknown starts are for the policy frontier with the preset graph or consistent")
+            raise ValueError(
+                "unknown starts are for the policy frontier with the preset graph or consistent"
+            )
 
     def _check_kidnapping(self) -> None:
         if self.kidnap_at is None:
             return
         if not 0.0 < self.kidnap_at <= LONGEST_TIME:
             raise ValueError(
-                f"a robot is kidnapped after 0 s and within {LONGEST_TIME:g} s, not at {self.kidnap_at:g} s"
+                f"a robot is kidnapped after 0 s and within {LONGEST_TIME:g} s, not at "
+                f"{self.kidnap_at:g} s"
             )
         if self.robots > 1 or self.limit:
-            what = "one of several robots" if self.robots > 1 else "a run that is compared with the offline optimum"
+            what = (
+                "one of several robots"
+                if self.robots > 1
+                else "a run that is compared with the offline optimum"
+            )
             raise ValueError(f"{what} cannot be kidnapped")
 
     @property
@@ -124,11 +137,16 @@ class RunConfig:
     def warnings(self) -> list[str]:
         """Reasons why the run cannot explore the world, one line each.
 
-        They are a small start region, an open outer wall, or beams that are too short for the policy.
+        They are a small start region, an open outer wall, or beams that are too short for the
+        policy.
         """
         region = start_region(load_world(self.world), self.robot.radius).warning
         found = [] if region is None else [region]
         cell = self.agent.grid.cell
-        if self.policy.startswith("frontier") and not self.laps and self.robot.reach < least_reach(self.robot, cell):
+        if (
+            self.policy.startswith("frontier")
+            and not self.laps
+            and self.robot.reach < least_reach(self.robot, cell)
+        ):
             found.append(f"{short_reach(self.robot, cell)}: the robot follows walls instead")
         return found

@@ -1,4 +1,6 @@
-"""Scores the trajectory and the map of any SLAM system, from files, by the metrics of ``docs/metrics.md``."""
+"""Scores the trajectory and the map of any SLAM system, from files, by the metrics of
+``docs/metrics.md``.
+"""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +22,8 @@ _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """True and estimated poses (n, 3) at the same times, m and rad, and covariances (n, 3, 3) of the estimated ones.
+    """True and estimated poses (n, 3) at the same times, m and rad, and covariances (n, 3, 3) of
+    the estimated ones.
 
     ``unmatched`` counts the estimated poses without a true pose at their time.
     """
@@ -31,10 +34,12 @@ class Pairs:
     unmatched: int
 
     def alignment(self, how: str) -> FloatArray:
-        """The rigid motion (3,) that brings the frame of the estimate onto the frame of the truth, m and rad.
+        """The rigid motion (3,) that brings the frame of the estimate onto the frame of the truth,
+        m and rad.
 
-        ``none`` is no motion: both have one frame. ``start`` lets both paths begin in the same pose. ``path`` brings
-        the whole path onto the true path (:func:`limslam_env.metrics.rigid_alignment`).
+        ``none`` is no motion: both have one frame. ``start`` lets both paths begin in the same
+        pose. ``path`` brings the whole path onto the true path
+        (:func:`limslam_env.metrics.rigid_alignment`).
         """
         if how == "start":
             return compose(self.true[0], inverse(self.estimated[0]))
@@ -48,11 +53,13 @@ class Pairs:
         return replace(self, estimated=compose(motion, self.estimated), covariances=covariances)
 
 
-def read_pairs(true: Path, estimated: Path, covariances: Path | None, max_difference: float = 0.01) -> Pairs:
+def read_pairs(
+    true: Path, estimated: Path, covariances: Path | None, max_difference: float = 0.01
+) -> Pairs:
     """Read two trajectories and, if it is given, a file with the covariances of the estimated one.
 
-    As in evo, each pose of the trajectory with fewer poses belongs to the pose of the longer one that is nearest in
-    time, if that is at most ``max_difference`` away, s.
+    As in evo, each pose of the trajectory with fewer poses belongs to the pose of the longer one
+    that is nearest in time, if that is at most ``max_difference`` away, s.
 
     Raises
     ------
@@ -63,15 +70,21 @@ def read_pairs(true: Path, estimated: Path, covariances: Path | None, max_differ
     time, poses = read_tum(estimated)
     of_true, of_estimated = matched(true_time, time, max_difference)
     if len(of_true) == 0:
-        raise TrajectoryError(f"{estimated}: no pose has the time of a pose of {true} (within {max_difference:g} s)")
+        raise TrajectoryError(
+            f"{estimated}: no pose has the time of a pose of {true} (within {max_difference:g} s)"
+        )
     stated = None if covariances is None else read_covariances(covariances, estimated, time)
     return Pairs(
-        true_poses[of_true], poses[of_estimated], None if stated is None else stated[of_estimated],
+        true_poses[of_true],
+        poses[of_estimated],
+        None if stated is None else stated[of_estimated],
         len(time) - len(np.unique(of_estimated)),
-    )  # fmt: skip
+    )
 
 
-def matched(first: FloatArray, second: FloatArray, max_difference: float) -> tuple[IntArray, IntArray]:
+def matched(
+    first: FloatArray, second: FloatArray, max_difference: float
+) -> tuple[IntArray, IntArray]:
     """Indices (k,) into two lists of times, s, of the times that belong together."""
     if len(second) > len(first):
         shorter, longer = matched(second, first, max_difference)[::-1]
@@ -82,10 +95,11 @@ def matched(first: FloatArray, second: FloatArray, max_difference: float) -> tup
 
 
 def read_covariances(path: Path, trajectory: Path, time: FloatArray) -> FloatArray:
-    """Covariances (n, 3, 3), m and rad, of the poses of a trajectory in the same frame as its poses.
+    """Covariances (n, 3, 3), m and rad, of the poses of a trajectory in the same frame as its
+    poses.
 
-    The file is ``covariance_est.npz`` of a run's folder, or a text with a line ``t xx xy xh yy yh hh`` for each pose,
-    where h is the heading. Comments begin with ``#``.
+    The file is ``covariance_est.npz`` of a run's folder, or a text with a line ``t xx xy xh yy yh
+    hh`` for each pose, where h is the heading. Comments begin with ``#``.
 
     Raises
     ------
@@ -94,14 +108,18 @@ def read_covariances(path: Path, trajectory: Path, time: FloatArray) -> FloatArr
     """
     found = _stored(path, trajectory) if path.suffix == ".npz" else _written(path)
     if len(found) != len(time):
-        raise TrajectoryError(f"{path}: has {len(found)} covariances, and {trajectory} has {len(time)} poses")
+        raise TrajectoryError(
+            f"{path}: has {len(found)} covariances, and {trajectory} has {len(time)} poses"
+        )
     if not np.isfinite(found).all():
         raise TrajectoryError(f"{path}: a covariance is not finite")
     return found
 
 
 def trajectory_scores(pairs: Pairs) -> dict[str, float | int | None]:
-    """Errors of the estimate, and where covariances are given whether they are as large as the errors."""
+    """Errors of the estimate, and where covariances are given whether they are as large as the
+    errors.
+    """
     scores: dict[str, float | int | None] = {
         "poses": len(pairs.true),
         "poses_unmatched": pairs.unmatched,
@@ -118,8 +136,8 @@ def map_scores(
 ) -> dict[str, float | int | None]:
     """Scores of the walls of a map (m, 4), m, whose frame is first moved by a rigid motion (3,).
 
-    The metrics of an aligned map take the alignment of the trajectories ``pairs``, which belong to the map. Without
-    trajectories there are none of them. The robot says which walls can be seen.
+    The metrics of an aligned map take the alignment of the trajectories ``pairs``, which belong to
+    the map. Without trajectories there are none of them. The robot says which walls can be seen.
     """
     segments = transform_points(motion, walls.reshape(-1, 2)).reshape(-1, 4)
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
@@ -127,11 +145,17 @@ def map_scores(
     scores = metrics.wall_metrics(visible, world.edges, segments, alignment)
     if pairs is None:
         scores = {name: value for name, value in scores.items() if "aligned" not in name}
-    return {**scores, "doors_open": metrics.doors_open(world.doors, segments), "landmarks": len(segments)}
+    return {
+        **scores,
+        "doors_open": metrics.doors_open(world.doors, segments),
+        "landmarks": len(segments),
+    }
 
 
 def _stored(path: Path, trajectory: Path) -> FloatArray:
-    """The covariances of a run's folder that go with a trajectory: smoothed or not, of one of several robots."""
+    """The covariances of a run's folder that go with a trajectory: smoothed or not, of one of
+    several robots.
+    """
     kind = "smoothed" if "smoothed" in trajectory.stem else "estimated"
     number = trajectory.stem.rpartition("_")[2]
     try:

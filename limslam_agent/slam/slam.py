@@ -1,4 +1,6 @@
-"""LineSlam: estimates the poses of robots, and the walls around them, from a few beams and odometry."""
+"""LineSlam: estimates the poses of robots, and the walls around them, from a few beams and
+odometry.
+"""
 
 import functools
 from collections.abc import Callable
@@ -25,20 +27,22 @@ class LineSlam(Estimator):
     robot
         Body and beams of each robot.
     config
-        Settings of every stage. The type of its ``estimator`` chooses the estimator, of whose class the SLAM is.
+        Settings of every stage. The type of its ``estimator`` chooses the estimator, of whose class
+        the SLAM is.
     start_pose
-        Start pose of the robot (3,), m, m, rad, by default the origin of the map; of several robots (n, 3).
+        Start pose of the robot (3,), m, m, rad, by default the origin of the map; of several robots
+        (n, 3).
     sensor
-        How the ranges are measured, if that is known to differ from ``robot`` and ``config``. Only the consistent
-        estimator uses it.
+        How the ranges are measured, if that is known to differ from ``robot`` and ``config``. Only
+        the consistent estimator uses it.
 
     Attributes
     ----------
     robots
         The front end of each robot.
     increments
-        The motion (3,) of each robot in the latest step as its odometry reports it, without the calibration, in the
-        frame of the robot before it.
+        The motion (3,) of each robot in the latest step as its odometry reports it, without the
+        calibration, in the frame of the robot before it.
     ticks
         The ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them.
     closures
@@ -48,8 +52,8 @@ class LineSlam(Estimator):
     associations
         The associations of observed lines so far, in order.
     on_association, on_comparison
-        Called with the association of each observed line, and with each observed line and the landmarks that it was
-        compared with before it is used, if set. Copies have no listeners.
+        Called with the association of each observed line, and with each observed line and the
+        landmarks that it was compared with before it is used, if set. Copies have no listeners.
     """
 
     def __new__(  # noqa: PYI034 (an estimator of another class)
@@ -63,12 +67,16 @@ class LineSlam(Estimator):
         del robot, start_pose, sensor
         return _empty(cls, config)
 
-    def __reduce__(self) -> tuple[Callable[..., "LineSlam"], tuple[type["LineSlam"], AgentConfig], dict[str, Any]]:
+    def __reduce__(
+        self,
+    ) -> tuple[Callable[..., "LineSlam"], tuple[type["LineSlam"], AgentConfig], dict[str, Any]]:
         return _empty, (getattr(self, "_asked", LineSlam), self.config), vars(self)
 
     @property
     def map_state(self) -> MapState:
-        """The pose and the map of a renewable estimate, without the pending readings. Later steps do not change it."""
+        """The pose and the map of a renewable estimate, without the pending readings. Later steps
+        do not change it.
+        """
         raise TypeError(_NOT_RENEWABLE)
 
     def renew(self, state: MapState) -> None:
@@ -76,12 +84,16 @@ class LineSlam(Estimator):
         del state
         raise TypeError(_NOT_RENEWABLE)
 
-    def close(self, pose: FloatArray, covariance: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Close a loop: readings that end at points (n, 2) have found the pose (3,) of the robot among the walls there.
+    def close(
+        self, pose: FloatArray, covariance: FloatArray, ends: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Close a loop: readings that end at points (n, 2) have found the pose (3,) of the robot
+        among the walls there.
 
-        ``covariance`` (3, 3) is that of the match. Readings that are still pending are used before. Where the world has
-        moved is returned: anchors (m, 2) of walls, and the rigid motion (m, 3) around each of them. It is None, and
-        nothing changes, if the estimate does not explain that the robot is there.
+        ``covariance`` (3, 3) is that of the match. Readings that are still pending are used before.
+        Where the world has moved is returned: anchors (m, 2) of walls, and the rigid motion (m, 3)
+        around each of them. It is None, and nothing changes, if the estimate does not explain that
+        the robot is there.
         """
         del pose, covariance, ends
         raise TypeError(_NOT_RENEWABLE)
@@ -113,6 +125,8 @@ def _subclass(asked: Any, kind: Any) -> Any:
 
 def _empty(asked: Any, config: AgentConfig) -> LineSlam:
     """An object, still without state, of the estimator that the settings choose by their type."""
-    kind: Any = _published_slam() if isinstance(config.estimator, PublishedConfig) else _ConsistentSlam
+    kind: Any = (
+        _published_slam() if isinstance(config.estimator, PublishedConfig) else _ConsistentSlam
+    )
     made: type[LineSlam] = kind if asked is LineSlam else _subclass(asked, kind)
     return object.__new__(made)

@@ -1,10 +1,12 @@
-"""Whether readings fit a map: the one likelihood of readings given a map, and the test of their contradictions.
+"""Whether readings fit a map: the one likelihood of readings given a map, and the test of their
+contradictions.
 
-Each ray (:mod:`~limslam_agent.status.rays`) is compared with what the map predicts for it: a wall at a distance, free
-ground, or unknown ground, of which a reading says nothing. The *evidence* of rays is the logarithm of their likelihood,
-less that of readings at a random place. A ray *contradicts* the map if it passes through a wall, or ends where the map
-is known to be free. Hardly a ray does so at the right place, and many do at a wrong one, so that the number of
-contradictions is tested by a sequential test of their rate (A. Wald, "Sequential tests of statistical hypotheses",
+Each ray (:mod:`~limslam_agent.status.rays`) is compared with what the map predicts for it: a wall
+at a distance, free ground, or unknown ground, of which a reading says nothing. The *evidence* of
+rays is the logarithm of their likelihood, less that of readings at a random place. A ray
+*contradicts* the map if it passes through a wall, or ends where the map is known to be free. Hardly
+a ray does so at the right place, and many do at a wrong one, so that the number of contradictions
+is tested by a sequential test of their rate (A. Wald, "Sequential tests of statistical hypotheses",
 1945).
 """
 
@@ -24,15 +26,25 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
-_RIGHT, _WRONG = 0.005, 0.12  # shares of rays that contradict a map at the right place, and at a wrong one
+_RIGHT, _WRONG = (
+    0.005,
+    0.12,
+)  # shares of rays that contradict a map at the right place, and at a wrong one
 _PLACE = 0.3  # m: contradictions less far apart may have one cause
 _WALL_COLUMNS = 5
 _SLIPS = np.radians(np.arange(-28.0, 29.0, 4.0))  # turns that the wheels may miss, rad
-_DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
+_DEVIATIONS = (
+    -2.0,
+    -1.0,
+    0.0,
+    1.0,
+    2.0,
+)  # and along each axis of the covariance, in standard deviations
 _OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
 
 DRIFT = 0.5, math.radians(15.0)
-"""A robot that is off by less than this, m and rad, may have drifted, whatever its readings say of its motion.
+"""A robot that is off by less than this, m and rad, may have drifted, whatever its readings say of
+its motion.
 
 Two poses that are farther apart are different places.
 """
@@ -45,24 +57,30 @@ By Wald's bound, a test that stops there is wrong in at most one of 100, or of 1
 
 
 MATCH_COVARIANCE = np.diag([0.05, 0.05, math.radians(2.0)]) ** 2
-"""Covariance (3, 3) of a pose with respect to the walls around that its readings fit, m^2 and rad^2."""
+"""Covariance (3, 3) of a pose with respect to the walls around that its readings fit, m^2 and
+rad^2.
+"""
 
 UNLIKELY = 10.0
-"""How unlikely it is beforehand that a robot slips or is carried away just here, or is in one of all places of a map.
+"""How unlikely it is beforehand that a robot slips or is carried away just here, or is in one of
+all places of a map.
 
 This is a logarithm, without its sign.
 """
 
 
 def contradiction_test(contradicting: int, tested: int, *, may_be_bent: bool = False) -> float:
-    """Logarithm of the likelihood ratio of a wrong place and of the right one, by the number of contradictions.
+    """Logarithm of the likelihood ratio of a wrong place and of the right one, by the number of
+    contradictions.
 
-    ``tested`` is the number of rays that could have contradicted the map. A map may be bent, or its furniture may have
-    been moved.
+    ``tested`` is the number of rays that could have contradicted the map. A map may be bent, or its
+    furniture may have been moved.
     """
     right = UNRELATED if may_be_bent else _RIGHT
     fitting = tested - contradicting
-    return contradicting * math.log(_WRONG / right) + fitting * math.log((1.0 - _WRONG) / (1.0 - right))
+    return contradicting * math.log(_WRONG / right) + fitting * math.log(
+        (1.0 - _WRONG) / (1.0 - right)
+    )
 
 
 class Explained(NamedTuple):
@@ -73,8 +91,8 @@ class Explained(NamedTuple):
     evidence
         Logarithm of the likelihood of the reading, less that at a random place.
     against
-        Distance along the ray at which it contradicts the map, m; 0 if it does not. It is less than the reading if the
-        ray has passed through a wall.
+        Distance along the ray at which it contradicts the map, m; 0 if it does not. It is less than
+        the reading if the ray has passed through a wall.
     tested
         Whether it could have contradicted the map.
     """
@@ -86,10 +104,13 @@ class Explained(NamedTuple):
     def by_place(self, rays: FloatArray) -> FloatArray:
         """What each of the rays (n, 7) contributes (n,) to :func:`contradiction_test`.
 
-        Rays that contradict the map at one place, at a wall that they pass or where they end, count once: they may have
-        one cause, as a short wall that is missing.
+        Rays that contradict the map at one place, at a wall that they pass or where they end, count
+        once: they may have one cause, as a short wall that is missing.
         """
-        test, against = np.where(self.tested, contradiction_test(0, 1), 0.0), np.flatnonzero(self.against)
+        test, against = (
+            np.where(self.tested, contradiction_test(0, 1), 0.0),
+            np.flatnonzero(self.against),
+        )
         directions = rays[against, RAY_TO_X:RAY_LENGTH]
         points = rays[against, RAY_X:RAY_TO_X] + self.against[against, None] * directions
         _, first = np.unique(np.floor(points / _PLACE), axis=0, return_index=True)
@@ -119,8 +140,8 @@ class PlaceFit:
 
     @property
     def is_on_map(self) -> float:
-        """Logarithm of the likelihood ratio of the contradictions: of the right place in a map that may be bent, and of
-        ground like it.
+        """Logarithm of the likelihood ratio of the contradictions: of the right place in a map that
+        may be bent, and of ground like it.
         """
         return -contradiction_test(self.contradictions, self.tested, may_be_bent=True)
 
@@ -140,23 +161,33 @@ class KnownMap:
     sensor
         How the ranges are measured. It may be assigned anew. Their bias is that of the rays.
     free_space_counts
-        Whether a reading that ends in free space says something; it does not if a body may be anywhere.
+        Whether a reading that ends in free space says something; it does not if a body may be
+        anywhere.
     """
 
     def __init__(
-        self, segments: FloatArray, grid: GridView, sensor: RangeSensor, *, free_space_counts: bool = True
+        self,
+        segments: FloatArray,
+        grid: GridView,
+        sensor: RangeSensor,
+        *,
+        free_space_counts: bool = True,
     ) -> None:
         self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
         self._free_space_counts = free_space_counts
 
     @property
     def frozen(self) -> "KnownMap":
-        """The map as it is now, which later steps do not change. The values of a grid's view change with the grid."""
+        """The map as it is now, which later steps do not change. The values of a grid's view change
+        with the grid.
+        """
         grid = replace(self.grid, values=self.grid.values.copy())
         return KnownMap(self.segments, grid, self.sensor, free_space_counts=self._free_space_counts)
 
     def counting(self, rays: FloatArray, covariance: FloatArray | None = None) -> FloatArray:
-        """Those of the rays (n, 7) that say something about the pose, whose covariance (3, 3) is given."""
+        """Those of the rays (n, 7) that say something about the pose, whose covariance (3, 3) is
+        given.
+        """
         if self._free_space_counts:
             return rays
         return rays[self.explained(rays, covariance).against < rays[:, RAY_LENGTH]]
@@ -167,23 +198,38 @@ class KnownMap:
 
         evidence, counts = np.empty(len(poses)), np.empty((len(poses), 2), dtype=np.int64)
         weigh_poses(
-            np.ascontiguousarray(poses), rays, self.segments, *self._as_arrays, (self._variance(rays), 0.0),
-            float(self.sensor.cone), evidence, counts,
-        )  # fmt: skip
-        return [PlaceFit(*each) for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)]
+            np.ascontiguousarray(poses),
+            rays,
+            self.segments,
+            *self._as_arrays,
+            (self._variance(rays), 0.0),
+            float(self.sensor.cone),
+            evidence,
+            counts,
+        )
+        return [
+            PlaceFit(*each)
+            for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)
+        ]
 
     def explained(self, rays: FloatArray, covariance: FloatArray | None = None) -> Explained:
         """What the map says of rays (n, 7) in its frame.
 
-        ``covariance`` (3, 3) is that of the poses of the robot relative to the map; zero without it.
+        ``covariance`` (3, 3) is that of the poses of the robot relative to the map; zero without
+        it.
         """
         from limslam_agent.kernels.rays import weigh_rays
 
         near, turning = self._variance(rays), 0.0
         if covariance is not None:
-            near, turning = near + float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
+            near, turning = (
+                near + float(covariance[0, 0] + covariance[1, 1]),
+                float(covariance[2, 2]),
+            )
         found = np.empty((len(rays), 3))
-        weigh_rays(rays, self.segments, *self._as_arrays, (near, turning), float(self.sensor.cone), found)
+        weigh_rays(
+            rays, self.segments, *self._as_arrays, (near, turning), float(self.sensor.cone), found
+        )
         return Explained(found[:, 0], found[:, 1], found[:, 2] > 0.0)
 
     def refined(self, poses: FloatArray, rays: FloatArray) -> FloatArray:
@@ -195,7 +241,15 @@ class KnownMap:
         middle = np.array([*rays[:, RAY_X:RAY_TO_X].mean(axis=0), 0.0])
         ended[:, RAY_X:RAY_TO_X] -= middle[:2]
         placed = compose(poses, middle)
-        refine_poses(placed, ended, self.segments, float(self.sensor.cone), walls, np.empty((3, 3)), np.empty(3))
+        refine_poses(
+            placed,
+            ended,
+            self.segments,
+            float(self.sensor.cone),
+            walls,
+            np.empty((3, 3)),
+            np.empty(3),
+        )
         return np.asarray(compose(placed, -middle))
 
     def fit_here(self, rays: FloatArray) -> PlaceFit:
@@ -204,18 +258,26 @@ class KnownMap:
 
     @property
     def _as_arrays(self) -> tuple[FloatArray, NDArray[np.int16], FloatArray, float]:
-        """Scratch for the walls, and the grid's values, corner and cell, as the kernels take them."""
+        """Scratch for the walls, and the grid's values, corner and cell, as the kernels take
+        them.
+        """
         grid = self.grid
         # One kind of array, or the kernels would be compiled for each kind.
         values = np.array(grid.values) if not grid.values.flags.writeable else grid.values
-        return np.empty((len(self.segments), _WALL_COLUMNS)), values, np.asarray(grid.low), float(grid.cell)
+        return (
+            np.empty((len(self.segments), _WALL_COLUMNS)),
+            values,
+            np.asarray(grid.low),
+            float(grid.cell),
+        )
 
     def _variance(self, rays: FloatArray) -> float:
         return _MAP_STD**2 + self.sensor.usual_std(float(rays[:, RAY_REACH].max(initial=0.0))) ** 2
 
 
 class NearFit(NamedTuple):
-    """The likeliest pose of a drive near the believed pose: how its rays fit there, and the cost of being off so far.
+    """The likeliest pose of a drive near the believed pose: how its rays fit there, and the cost of
+    being off so far.
 
     The cost is half the squared Mahalanobis distance.
     """
@@ -231,11 +293,12 @@ class NearFit(NamedTuple):
 
 def drift_fit(
     known: KnownMap, rays: FloatArray, covariance: FloatArray, others: FloatArray | None = None
-) -> NearFit:  # fmt: skip
+) -> NearFit:
     """The likeliest pose of rays (n, 7) by the covariance (3, 3) of the believed pose, the origin.
 
-    Of this covariance, only the part counts that the walls near by do not share. Without rays, the believed pose is as
-    likely as any. ``others`` (m, 3) are further poses that may be the likeliest one.
+    Of this covariance, only the part counts that the walls near by do not share. Without rays, the
+    believed pose is as likely as any. ``others`` (m, 3) are further poses that may be the likeliest
+    one.
     """
     if not len(rays):
         return NearFit(known.fit_here(rays), 0.0)
@@ -246,7 +309,9 @@ def drift_fit(
     likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
     starts = compose(compose(about, likely), back)
     # With few rays, a refinement may lead away from the right pose.
-    poses = np.concatenate((starts, known.refined(starts, rays), np.empty((0, 3)) if others is None else others))
+    poses = np.concatenate(
+        (starts, known.refined(starts, rays), np.empty((0, 3)) if others is None else others)
+    )
     off = compose(compose(back, poses), about)
     costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
     found = map(NearFit, known.weigh(poses, rays), costs.tolist())
@@ -254,8 +319,8 @@ def drift_fit(
 
 
 def slip_fit(known: KnownMap, rays: FloatArray) -> NearFit:
-    """The likeliest pose of rays (n, 7), at least one, if the robot has turned where the first of them begins, and its
-    wheels have not reported that.
+    """The likeliest pose of rays (n, 7), at least one, if the robot has turned where the first of
+    them begins, and its wheels have not reported that.
     """
     about = np.array([*rays[0, :2], 0.0])
     turned = np.column_stack((np.zeros((len(_SLIPS), 2)), _SLIPS))

@@ -1,8 +1,9 @@
-"""StatusMonitor: watches the estimate of one robot and says whether it can be trusted, without ground truth.
+"""StatusMonitor: watches the estimate of one robot and says whether it can be trusted, without
+ground truth.
 
-The robot may have slipped, have drifted, or been carried to another place, before any step of the last metres
-(:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or for one near it,
-or are no likelier there than at a random place.
+The robot may have slipped, have drifted, or been carried to another place, before any step of the
+last metres (:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the
+believed pose, or for one near it, or are no likelier there than at a random place.
 """
 
 import math
@@ -19,20 +20,25 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
-"""Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
+"""Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution
+over the circle.
+"""
 
-# The readings are compared with the map when the robot has moved by ``SPACING``, m, and the estimator extracts lines in
-# the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn by one radian counts like ``TURN_LENGTH``, m.
+# The readings are compared with the map when the robot has moved by ``SPACING``, m, and the
+# estimator extracts lines in the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn
+# by one radian counts like ``TURN_LENGTH``, m.
 SPACING, TURN_LENGTH = 0.10, 0.40
-# Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and those of its heading,
-# rad.
+# Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
+# those of its heading, rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
 
 BLIND = 300
 """A beam that has seen nothing so often in succession may see nothing at all."""
 
-CARRIED = Status("lost", "the latest readings do not fit the place, as if the robot had been carried away")
+CARRIED = Status(
+    "lost", "the latest readings do not fit the place, as if the robot had been carried away"
+)
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
 
 
@@ -40,8 +46,11 @@ class Loss(NamedTuple):
     """Why a robot is lost, and since when."""
 
     status: Status  # the status
-    ago: int  # number of steps for which the estimate has been doubtful; 0 if the doubt began in this step
-    is_carried: bool = False  # whether the readings of that step say that the robot was carried away before it
+    # number of steps for which the estimate has been doubtful; 0 if the doubt began in this step
+    ago: int
+    is_carried: bool = (
+        False  # whether the readings of that step say that the robot was carried away before it
+    )
     # The map before that step, near to which the readings since then fit: the robot has slipped
     known: KnownMap | None = None
 
@@ -54,12 +63,12 @@ class Loss(NamedTuple):
 class StatusMonitor:
     """Watches one robot.
 
-    At each step the monitor gets the motion that the odometry reports, and the readings. Each time that the robot has
-    moved far enough, it compares the readings with the map. The level follows from that, from the uncertainty of the
-    heading, and from jumps of the odometry.
+    At each step the monitor gets the motion that the odometry reports, and the readings. Each time
+    that the robot has moved far enough, it compares the readings with the map. The level follows
+    from that, from the uncertainty of the heading, and from jumps of the odometry.
 
-    While a robot is lost, the covariance of its pose gets larger with each metre. It stays lost for 3 m, and until
-    nothing is doubtful any more.
+    While a robot is lost, the covariance of its pose gets larger with each metre. It stays lost for
+    3 m, and until nothing is doubtful any more.
 
     Parameters
     ----------
@@ -87,12 +96,19 @@ class StatusMonitor:
     def __init__(self, robot: RobotSpec, sensor: RangeSensor) -> None:
         self._robot, self.sensor = robot, sensor
         self._step, self._place, self._checked = -1, 0.0, -math.inf
-        self._sights, self._first = list[Sight](), 0  # the latest steps, and the number of the first of them
+        self._sights, self._first = (
+            list[Sight](),
+            0,
+        )  # the latest steps, and the number of the first of them
         self._changes = SuddenChanges(robot)
-        # The reading of each beam that has not changed since, how often it was read, and the least and the largest
-        # heading since then.
+        # The reading of each beam that has not changed since, how often it was read, and the least
+        # and the largest heading since then.
         self._turned, beams = 0.0, len(robot.beams)
-        self._steady, self._times, self._headings = np.full(beams, math.nan), np.zeros(beams), np.zeros((2, beams))
+        self._steady, self._times, self._headings = (
+            np.full(beams, math.nan),
+            np.zeros(beams),
+            np.zeros((2, beams)),
+        )
         self.jump, self._driven = 0.0, 0.0
         self.loss: Loss | None = None
         self.broken: int | None = None
@@ -106,8 +122,9 @@ class StatusMonitor:
         sight
             What the robot believes and reads in this step.
         is_busy
-            Whether the estimator extracts lines in this step. Such a step takes long in any case. Comparisons are made
-            in these steps if possible, so that they add little to the median time of a step.
+            Whether the estimator extracts lines in this step. Such a step takes long in any case.
+            Comparisons are made in these steps if possible, so that they add little to the median
+            time of a step.
 
         Returns
         -------
@@ -126,7 +143,10 @@ class StatusMonitor:
         is_same = np.abs(sight.ranges - self._steady) < 0.5 * self.sensor.std
         is_same &= (sight.ranges >= self._robot.too_far) == (self._steady >= self._robot.too_far)
         has_changed = np.isfinite(sight.ranges) & ~is_same
-        self._steady[has_changed], self._headings[:, has_changed] = sight.ranges[has_changed], self._turned
+        self._steady[has_changed], self._headings[:, has_changed] = (
+            sight.ranges[has_changed],
+            self._turned,
+        )
         self._times = np.where(has_changed, 0.0, self._times + np.isfinite(sight.ranges))
         self._headings[0] = np.minimum(self._headings[0], self._turned)
         self._headings[1] = np.maximum(self._headings[1], self._turned)
@@ -163,8 +183,12 @@ class StatusMonitor:
 
     @property
     def added_covariance(self) -> FloatArray:
-        """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
-        return np.zeros((3, 3)) if self.loss is None else covariance_of_lost(self.jump, self._driven)
+        """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not
+        lost.
+        """
+        return (
+            np.zeros((3, 3)) if self.loss is None else covariance_of_lost(self.jump, self._driven)
+        )
 
     def _broken_beam(self, present: KnownMap) -> int | None:
         """The beam that has read the same while the robot turned by a right angle; None without it.
@@ -182,7 +206,8 @@ class StatusMonitor:
         return None
 
     def _contradicts(self, beam: int, present: KnownMap) -> bool:
-        """Whether the latest readings of a beam contradict the map, as it is now, at several places.
+        """Whether the latest readings of a beam contradict the map, as it is now, at several
+        places.
 
         The walls there were seen later by other beams, which speak for the pose.
         """
@@ -211,7 +236,9 @@ class StatusMonitor:
     def _loss(self) -> Loss | None:
         """Why the robot is lost now; None if it is not."""
         if self.jump and self.loss is None:
-            return Loss(Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0)
+            return Loss(
+                Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0
+            )
         found = self._changes.suspicion
         if found is None or not found.is_certain:
             return None
@@ -223,7 +250,9 @@ class StatusMonitor:
 
 
 def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True) -> FloatArray:
-    """What is added to the covariance (3, 3) of a lost robot, by jumps of the odometry and the distance since, m."""
+    """What is added to the covariance (3, 3) of a lost robot, by jumps of the odometry and the
+    distance since, m.
+    """
     position = jump + min(POSITION_GROWTH * driven, POSITION_LIMIT)
     heading = min(_HEADING_GROWTH * driven, UNIFORM_HEADING) if knows_heading else UNIFORM_HEADING
     return np.diag([position**2, position**2, heading**2])

@@ -7,7 +7,15 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.dropouts import short_series
-from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
+from limslam_agent.kernels.tables import (
+    RAY_BEAM,
+    RAY_LENGTH,
+    RAY_REACH,
+    RAY_TO_X,
+    RAY_TO_Y,
+    RAY_X,
+    RAY_Y,
+)
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -15,17 +23,22 @@ from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import Observation, RobotSpec
 
 _APART = 0.10, 0.25
-"""Of two rays that end in the same square, the later one is kept: side of the squares for rays that saw something, and
-for the others, m. What is seen twice is no news."""
+"""Of two rays that end in the same square, the later one is kept: side of the squares for rays that
+saw something, and for the others, m. What is seen twice is no news.
+"""
 
-_BEAMS = 36  # largest number of beams whose readings are used: neighbours of so many see nearly the same
+_BEAMS = (
+    36  # largest number of beams whose readings are used: neighbours of so many see nearly the same
+)
 STEPS = 1500
 """Largest number of latest steps whose rays are used: the frame of a longer drive is bent."""
 
 _RAYS = 600  # largest number of latest rays
 
 LASTING = 4
-"""Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
+"""Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the
+sensor.
+"""
 
 
 class Sight(NamedTuple):
@@ -33,17 +46,24 @@ class Sight(NamedTuple):
 
     pose: FloatArray  # estimated pose (3,), m and rad
     ranges: FloatArray  # readings (n_beams,), m. They are NaN where there is no new reading.
-    # The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad
+    # The motion (3,) that the odometry reports for this step, in the frame of the robot before it,
+    # m and rad
     motion: FloatArray = np.zeros(3)
-    observation: Observation = Observation()  # what the robot observed, if the step is to be processed again
+    observation: Observation = (
+        Observation()
+    )  # what the robot observed, if the step is to be processed again
 
     @classmethod
-    def of(cls, front: FrontEnd, pose: FloatArray, motion: FloatArray, observation: Observation) -> "Sight":
+    def of(
+        cls, front: FrontEnd, pose: FloatArray, motion: FloatArray, observation: Observation
+    ) -> "Sight":
         """The step that the front end of a robot has just processed."""
         return cls(pose, np.where(front.measured, front.ranges, np.nan), motion, observation)
 
 
-def rays_of(steps: Sequence[Sight], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
+def rays_of(
+    steps: Sequence[Sight], robot: RobotSpec, sensor: RangeSensor | None = None
+) -> FloatArray:
     """The latest rays (n, 7) of steps, in the order of time: origin, direction, reading and longest
     reading, m, and number of the beam.
     """
@@ -55,12 +75,15 @@ def numbered_rays_of(
 ) -> tuple[FloatArray, IntArray]:
     """The latest rays (n, 7) of steps, and the number of the step (n,) of each of them.
 
-    A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
-    or perhaps missed by the sensor, has no ray. ``robot`` has its beams as specified. ``sensor`` is known to turn beams
-    and to have a bias; None if it is as specified.
+    A beam that has seen nothing has its longest reading. A reading that says nothing, because it is
+    not new, too short, or perhaps missed by the sensor, has no ray. ``robot`` has its beams as
+    specified. ``sensor`` is known to turn beams and to have a bias; None if it is as specified.
     """
     robot, bias = (robot, 0.0) if sensor is None else (sensor.mounted(robot), sensor.bias)
-    first, used = max(len(steps) - STEPS, 0), slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
+    first, used = (
+        max(len(steps) - STEPS, 0),
+        slice(None, None, math.ceil(len(robot.beams) / _BEAMS)),
+    )
     steps = steps[first:]
     poses = np.array([step.pose for step in steps])
     ranges = np.array([step.ranges[used] for step in steps])
@@ -68,7 +91,11 @@ def numbered_rays_of(
     usable = (ranges > robot.too_near[used]) & ~_missed(seen_nothing, np.isfinite(ranges))
     rows, places = np.nonzero(usable)
     beams = np.arange(len(robot.beams))[used][places]
-    cos, sin, reaches = np.cos(poses[:, 2])[rows], np.sin(poses[:, 2])[rows], robot.max_ranges[beams]
+    cos, sin, reaches = (
+        np.cos(poses[:, 2])[rows],
+        np.sin(poses[:, 2])[rows],
+        robot.max_ranges[beams],
+    )
     (from_x, from_y), (to_x, to_y) = robot.beam_origins[beams].T, robot.beam_directions[beams].T
     rays = np.empty((len(rows), 7))
     rays[:, RAY_X] = cos * from_x - sin * from_y + poses[rows, 0]
@@ -83,21 +110,32 @@ def numbered_rays_of(
 def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:
     """The rays (m, 7) of the readings (n_beams,), m, of one step, in the frame of the robot.
 
-    ``robot`` has its beams as they are mounted, and its readings are too long by ``bias``, m. Readings that saw nothing
-    count, since no other step says whether they are dropouts.
+    ``robot`` has its beams as they are mounted, and its readings are too long by ``bias``, m.
+    Readings that saw nothing count, since no other step says whether they are dropouts.
     """
     lengths = _lengths(ranges, bias, ranges >= robot.too_far, robot.max_ranges)
-    columns = robot.beam_origins, robot.beam_directions, lengths, robot.max_ranges, np.arange(len(ranges))
+    columns = (
+        robot.beam_origins,
+        robot.beam_directions,
+        lengths,
+        robot.max_ranges,
+        np.arange(len(ranges)),
+    )
     return np.ascontiguousarray(np.column_stack(columns)[ranges > robot.too_near])
 
 
-def _lengths(ranges: FloatArray, bias: float, seen_nothing: BoolArray, reaches: FloatArray) -> FloatArray:
-    """Lengths of rays, m: those of beams that have seen nothing are the longest ones, and others are shorter."""
+def _lengths(
+    ranges: FloatArray, bias: float, seen_nothing: BoolArray, reaches: FloatArray
+) -> FloatArray:
+    """Lengths of rays, m: those of beams that have seen nothing are the longest ones, and others
+    are shorter.
+    """
     return np.where(seen_nothing, reaches, np.clip(ranges - bias, 1e-6, reaches - 1e-6))
 
 
 def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:
-    """Which readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
+    """Which readings (m, n_beams) may have seen nothing only because the sensor missed what was
+    there.
 
     A beam that measures in some of the steps only is judged by these.
     """
@@ -112,7 +150,9 @@ def moved(rays: FloatArray, pose: FloatArray) -> FloatArray:
     """The rays (n, 7) with their frame at a pose (3,)."""
     result = rays.copy()
     result[:, RAY_X:RAY_TO_X] = transform_points(pose, rays[:, RAY_X:RAY_TO_X])
-    result[:, RAY_TO_X:RAY_LENGTH] = transform_points(np.array([0.0, 0.0, pose[2]]), rays[:, RAY_TO_X:RAY_LENGTH])
+    result[:, RAY_TO_X:RAY_LENGTH] = transform_points(
+        np.array([0.0, 0.0, pose[2]]), rays[:, RAY_TO_X:RAY_LENGTH]
+    )
     return result
 
 
@@ -137,6 +177,8 @@ def _latest(rays: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     squares = np.floor(ends_of(rays) / np.where(ended, *_APART)[:, None]).astype(np.int64)
     columns, rows = (squares - squares.min(axis=0, initial=0)).T
     # One number for each square, since numpy sorts numbers much faster than rows.
-    numbers = np.ravel_multi_index((ended, columns, rows), (2, columns.max(initial=0) + 1, rows.max(initial=0) + 1))
+    numbers = np.ravel_multi_index(
+        (ended, columns, rows), (2, columns.max(initial=0) + 1, rows.max(initial=0) + 1)
+    )
     _, first = np.unique(numbers[::-1], return_index=True)
     return np.sort(len(rays) - 1 - first)

@@ -1,4 +1,5 @@
-"""The status of an estimate, and its reason in words: while a robot drives, and of a finished run by its line smoother.
+"""The status of an estimate, and its reason in words: while a robot drives, and of a finished run
+by its line smoother.
 
 That of a log that the graph has smoothed is in ``replay.trust``.
 """
@@ -21,13 +22,15 @@ UNSURE_HEADING = math.radians(4.0)
 """Standard deviation of the heading beyond which an estimate is unsure, rad."""
 
 LARGE_CORRECTION = 0.3
-"""A correction of a pose by more than this, m, moves the map: what was planned or found before means nothing then."""
+"""A correction of a pose by more than this, m, moves the map: what was planned or found before
+means nothing then.
+"""
 
-# The result is unsure or lost if this share of the readings contradicts the smoothed map. From a smaller share on, a
-# robot that was unsure or lost while it drove remains so.
+# The result is unsure or lost if this share of the readings contradicts the smoothed map. From a
+# smaller share on, a robot that was unsure or lost while it drove remains so.
 _UNSURE_SHARE, _LOST_SHARE, _DOUBTED_SHARE = 0.01, 0.03, 0.0025
-# It is unsure if the smoother made a large correction, and the mean NEES / 3 of the filter against the smoothed path
-# exceeds this.
+# It is unsure if the smoother made a large correction, and the mean NEES / 3 of the filter against
+# the smoothed path exceeds this.
 _MOVED_NEES = 5.0
 
 _LEAST_VARIANCES = np.diag([1e-3**2, 1e-3**2, 1e-3**2])
@@ -61,7 +64,9 @@ class Status:
 
 
 def worst(statuses: Sequence[Status]) -> Status:
-    """The worst status of several robots. If there are several robots, the reason names the robot."""
+    """The worst status of several robots. If there are several robots, the reason names the
+    robot.
+    """
     number = max(range(len(statuses)), key=lambda each: LEVELS.index(statuses[each].level))
     found = statuses[number]
     if len(statuses) == 1 or not found.reason:
@@ -70,7 +75,8 @@ def worst(statuses: Sequence[Status]) -> Status:
 
 
 def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str, Any]:
-    """How long the estimate was ok, unsure and lost, and the status at the end, by their names in ``docs/metrics.md``.
+    """How long the estimate was ok, unsure and lost, and the status at the end, by their names in
+    ``docs/metrics.md``.
 
     Parameters
     ----------
@@ -104,25 +110,30 @@ def smoothed_status(
 ) -> Status:
     """Whether the smoothed path and map can be trusted.
 
-    A smoothed path far away from that of a filter which was certain means that one of them is wrong, and the readings
-    of both fit their maps. A filter that said that it was lost was not certain.
+    A smoothed path far away from that of a filter which was certain means that one of them is
+    wrong, and the readings of both fit their maps. A filter that said that it was lost was not
+    certain.
 
     Parameters
     ----------
     contradictions
         Share of the readings that passed through walls of the smoothed map.
     filtered, smoothed
-        Poses (t, n, 3), m and rad, and their covariances (t, n, 3, 3): of the filter, as it reported them, and of the
-        smoother.
+        Poses (t, n, 3), m and rad, and their covariances (t, n, 3, 3): of the filter, as it
+        reported them, and of the smoother.
     while_driving
         The worst level of the status while the robots drove.
     lost_since
-        Time after the start, s, from which on the filter did not know the robot's place, or was wrong about it; None if
-        it was not.
+        Time after the start, s, from which on the filter did not know the robot's place, or was
+        wrong about it; None if it was not.
     """
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
     if lost_since is not None or contradictions >= _LOST_SHARE:
-        unknown = "" if lost_since is None else f"the place of the robot is unknown from {lost_since:.0f} s on"
+        unknown = (
+            ""
+            if lost_since is None
+            else f"the place of the robot is unknown from {lost_since:.0f} s on"
+        )
         return Status("lost", unknown or share)
     if contradictions >= _DOUBTED_SHARE and while_driving != "ok":
         return Status(while_driving, f"{share}, and the robot was {while_driving} while it drove")
@@ -130,20 +141,31 @@ def smoothed_status(
         return Status("unsure", share)
     moved, excess = _moved(filtered, smoothed)
     if moved > LARGE_CORRECTION and excess > _MOVED_NEES:
-        return Status("unsure", f"smoothing moved poses by up to {moved:.2f} m, of which the filter was too certain")
+        return Status(
+            "unsure",
+            f"smoothing moved poses by up to {moved:.2f} m, of which the filter was too certain",
+        )
     heading = math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0))
     if heading > UNSURE_HEADING:
-        return Status("unsure", f"the smoothed heading's standard deviation reaches {math.degrees(heading):.1f} deg")
+        return Status(
+            "unsure",
+            f"the smoothed heading's standard deviation reaches {math.degrees(heading):.1f} deg",
+        )
     return Status()
 
 
 def lost_since(time: FloatArray, unplaced: int | None) -> float | None:
-    """The time of a step after the first one of the steps (t,), s; None if there is no such step."""
+    """The time of a step after the first one of the steps (t,), s; None if there is no such
+    step.
+    """
     return None if unplaced is None else float(time[min(unplaced, len(time) - 1)] - time[0])
 
 
-def _moved(filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
-    """The largest distance between the paths, m, and the mean NEES / 3 of the filter against the smoothed path.
+def _moved(
+    filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]
+) -> tuple[float, float]:
+    """The largest distance between the paths, m, and the mean NEES / 3 of the filter against the
+    smoothed path.
 
     The mean is that of the worst robot.
     """
@@ -154,14 +176,21 @@ def _moved(filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, 
     return float(np.hypot(off[..., 0], off[..., 1]).max()), float(excess.max())
 
 
-def final_status_scores(final: Status, online: Status, time: FloatArray, levels: IntArray) -> dict[str, str]:
-    """The status of a smoothed result, by its names in ``docs/metrics.md``, beside that of the filter at the end.
+def final_status_scores(
+    final: Status, online: Status, time: FloatArray, levels: IntArray
+) -> dict[str, str]:
+    """The status of a smoothed result, by its names in ``docs/metrics.md``, beside that of the
+    filter at the end.
 
-    ``time`` and ``levels`` are those of :func:`status_scores`, by which a note says when the robots were lost.
+    ``time`` and ``levels`` are those of :func:`status_scores`, by which a note says when the robots
+    were lost.
     """
     lost, note = np.flatnonzero(levels.max(axis=1) == LEVELS.index("lost")), ""
     if len(lost):
-        first, last = float(time[lost[0]] - time[0]), float(time[min(lost[-1] + 1, len(time) - 1)] - time[0])
+        first, last = (
+            float(time[lost[0]] - time[0]),
+            float(time[min(lost[-1] + 1, len(time) - 1)] - time[0]),
+        )
         end = "the end" if lost[-1] == len(time) - 1 else f"{last:.0f} s"
         note = f"lost while driving, from {first:.0f} s to {end}"
     return {

@@ -1,10 +1,12 @@
-"""Changes of the readings before which the robot may have been moved, and what all readings since then say.
+"""Changes of the readings before which the robot may have been moved, and what all readings since
+then say.
 
-For each step, the readings are explained in two ways: the robot is still *here*, and each beam goes on along what it
-saw before, or sweeps past an edge; or the robot is *elsewhere*, and each reading is that of a random place. The
-evidence is the logarithm of the likelihood ratio of both, as far as the map does not explain the readings. All readings
-since a change are weighed with the map of that moment, which a wrong pose cannot change any more. It says whether the
-robot is still here, has *slipped* and is near, or is elsewhere.
+For each step, the readings are explained in two ways: the robot is still *here*, and each beam goes
+on along what it saw before, or sweeps past an edge; or the robot is *elsewhere*, and each reading
+is that of a random place. The evidence is the logarithm of the likelihood ratio of both, as far as
+the map does not explain the readings. All readings since a change are weighed with the map of that
+moment, which a wrong pose cannot change any more. It says whether the robot is still here, has
+*slipped* and is near, or is elsewhere.
 """
 
 import math
@@ -33,10 +35,14 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 WINDOW, LONGEST_SPACING = 3.0, 0.30
-"""Length of the last part of the drive whose readings count, and way between two changes at most, m."""
+"""Length of the last part of the drive whose readings count, and way between two changes at most,
+m.
+"""
 
 _SUPPORTED = 15.0  # evidence of readings that clearly fit
-_EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
+_EXPLAINED = (
+    1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
+)
 _MAPS = 4
 
 
@@ -87,8 +93,8 @@ class Suspicion(NamedTuple):
 class SuddenChanges:
     """Finds the changes of one robot's readings, and weighs them by all readings since then.
 
-    A change may be sudden, or the robot has slipped, or the place that it was carried to looked at first like its own.
-    So the likeliest step of each ``LONGEST_SPACING`` is a change, too.
+    A change may be sudden, or the robot has slipped, or the place that it was carried to looked at
+    first like its own. So the likeliest step of each ``LONGEST_SPACING`` is a change, too.
 
     Attributes
     ----------
@@ -102,8 +108,16 @@ class SuddenChanges:
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.forget_until(-1)
 
-    def look(self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray) -> None:
-        """Note the likeliest change since the last call, if it is sudden or the last one is some way back.
+    def look(
+        self,
+        sights: Sequence[Sight],
+        first: int,
+        place: float,
+        known: KnownMap,
+        covariance: FloatArray,
+    ) -> None:
+        """Note the likeliest change since the last call, if it is sudden or the last one is some
+        way back.
 
         All changes are weighed then.
 
@@ -124,18 +138,27 @@ class SuddenChanges:
         self._weigh(sights, first, place, known, covariance)
 
     def forget_until(self, step: int) -> None:
-        """Forget all changes and maps until a step, after which the estimator has closed a loop, and moved the map."""
+        """Forget all changes and maps until a step, after which the estimator has closed a loop,
+        and moved the map.
+        """
         self._weighed, self._changes = step, list[Change]()
         self._known.clear()
         self.suspicion: Suspicion | None = None
 
     def _weigh(
-        self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray
+        self,
+        sights: Sequence[Sight],
+        first: int,
+        place: float,
+        known: KnownMap,
+        covariance: FloatArray,
     ) -> None:
-        """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
+        """Weigh the changes by the readings since then, and find the likeliest one that makes the
+        robot doubtful.
 
-        The robot is still here, it has slipped, or it is elsewhere. A doubt ends when the readings refute it as clearly
-        as they have to speak for it at first. Until then, its change is remembered.
+        The robot is still here, it has slipped, or it is elsewhere. A doubt ends when the readings
+        refute it as clearly as they have to speak for it at first. Until then, its change is
+        remembered.
         """
         begin = max(self._changes[0].step, first)
         rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
@@ -157,21 +180,28 @@ class SuddenChanges:
                 kept.append(change)
         self._changes = kept
 
-    def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
+    def _carried(
+        self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray
+    ) -> Suspicion:
         """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
         evidence = change.evidence - float(here.evidence.sum())
         if evidence >= DOUBTED:  # or it has drifted
             near = drift_fit(change.known, later, covariance)
-            there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
+            there = max(
+                -near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested)
+            )
             evidence = min(evidence, change.evidence + there)
         others = _without_the_worst(change.by_beam + by_beam(later, -here.evidence, self._robot))
         return Suspicion(change, evidence, is_certain=evidence >= UNLIKELY and others >= DECIDED)
 
-    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
-        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain.
+    def _slipped(
+        self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray
+    ) -> Suspicion | None:
+        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is
+        not certain.
 
-        Readings on unknown ground may fit a turned map by chance. So one of them must contradict the believed pose, and
-        those after it must not clearly fit there.
+        Readings on unknown ground may fit a turned map by chance. So one of them must contradict
+        the believed pose, and those after it must not clearly fit there.
         """
         contradicting = np.flatnonzero(here.against)
         if not len(contradicting) or here.evidence[contradicting[-1] + 1 :].sum() > _SUPPORTED:
@@ -184,10 +214,19 @@ class SuddenChanges:
         evidence = min(evidence, slip.evidence - drifted.evidence)
         there = change.known.explained(moved(later, slip.fit.pose))
         others = _without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
-        return Suspicion(change, evidence, is_certain=True, is_slip=True) if min(evidence, others) >= DECIDED else None
+        return (
+            Suspicion(change, evidence, is_certain=True, is_slip=True)
+            if min(evidence, others) >= DECIDED
+            else None
+        )
 
     def _likeliest(
-        self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray
+        self,
+        sights: Sequence[Sight],
+        first: int,
+        place: float,
+        known: KnownMap,
+        covariance: FloatArray,
     ) -> Change | None:
         """The step since the last call with the most sudden change, if there is a step."""
         self._known.append((first + len(sights) - 1, known.frozen))
@@ -195,7 +234,10 @@ class SuddenChanges:
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
             return None
-        ranges, motions = np.array([each.ranges for each in steps]), np.array([each.motion for each in steps])
+        ranges, motions = (
+            np.array([each.ranges for each in steps]),
+            np.array([each.motion for each in steps]),
+        )
         evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
         new = max(self._weighed - first - begin - 1, 0)
         self._weighed = first + begin + len(steps) - LASTING
@@ -203,32 +245,46 @@ class SuddenChanges:
             return None
         row = new + int(evidence[new:].sum(axis=1).argmax())
         number = first + begin + row + 2
-        map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
+        map_then = next(
+            (each for at, each in reversed(self._known) if at <= number), self._known[0][1]
+        )
         is_explained = self._are_explained(steps[row + 2], map_then, covariance)
-        return Change(number, place, map_then, np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]))
+        return Change(
+            number,
+            place,
+            map_then,
+            np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]),
+        )
 
     def _are_explained(self, sight: Sight, known: KnownMap, covariance: FloatArray) -> BoolArray:
-        """Which readings (n_beams,) ended where the map has a wall, so that their change says nothing."""
+        """Which readings (n_beams,) ended where the map has a wall, so that their change says
+        nothing.
+        """
         sensor = known.sensor
         rays = moved(step_rays(sight.ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
         found: BoolArray = np.zeros(len(sight.ranges), dtype=bool)
-        found[rays[:, RAY_BEAM].astype(int)] = known.explained(rays, covariance).evidence > _EXPLAINED
+        found[rays[:, RAY_BEAM].astype(int)] = (
+            known.explained(rays, covariance).evidence > _EXPLAINED
+        )
         return found
 
 
-def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor) -> FloatArray:
+def change_evidence(
+    ranges: FloatArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor
+) -> FloatArray:
     """The evidence (m, n_beams) of each reading that the robot was carried away before its step.
 
-    It is the logarithm of the likelihood of the reading at a random place, less that of the reading after the one
-    before. The likelihoods are mixtures: a beam goes on along what it saw, within the slope of walls that the motion
-    allows for, or it meets an edge. Their constants, in `limslam_agent.kernels.readings`, are those of recorded
-    explorations.
+    It is the logarithm of the likelihood of the reading at a random place, less that of the reading
+    after the one before. The likelihoods are mixtures: a beam goes on along what it saw, within the
+    slope of walls that the motion allows for, or it meets an edge. Their constants, in
+    `limslam_agent.kernels.readings`, are those of recorded explorations.
 
     Parameters
     ----------
     ranges, motions
-        Readings of m + 2 steps (m + 2, n_beams), m, and the motions (m + 2, 3) before them, m and rad. Readings that
-        are not new are NaN. Those that saw nothing count if the beam does so in ``LASTING`` steps in succession.
+        Readings of m + 2 steps (m + 2, n_beams), m, and the motions (m + 2, 3) before them, m and
+        rad. Readings that are not new are NaN. Those that saw nothing count if the beam does so in
+        ``LASTING`` steps in succession.
     robot, sensor
         The beams, and how they measure.
     """
@@ -237,13 +293,17 @@ def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, s
     usable = np.isfinite(ranges) & ~short_series(ranges >= robot.too_far, LASTING)
     lengths = np.column_stack((np.hypot(*motions[:, :2].T), np.abs(motions[:, 2])))
     evidence = np.empty((max(len(ranges) - 2, 0), ranges.shape[1]))
-    weigh_changes(ranges, usable, lengths, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
+    weigh_changes(
+        ranges, usable, lengths, robot.beam_table, float(sensor.std), float(sensor.growth), evidence
+    )
     return evidence
 
 
 def by_beam(rays: FloatArray, evidence: FloatArray, robot: RobotSpec) -> FloatArray:
     """The evidence (n,) of rays (n, 7), summed for each beam (n_beams,)."""
-    return np.asarray(np.bincount(rays[:, RAY_BEAM].astype(int), evidence, len(robot.beams)), dtype=float)
+    return np.asarray(
+        np.bincount(rays[:, RAY_BEAM].astype(int), evidence, len(robot.beams)), dtype=float
+    )
 
 
 def _without_the_worst(evidence: FloatArray) -> float:

@@ -1,1 +1,3 @@
-"""Two logs of one building, whose relative start is not known: they become one map, or stay apart."""
+"""Two logs of one building, whose relative start is not known: they become one map, or stay
+apart.
+"""

@@ -1,4 +1,6 @@
-"""Two logs are replayed each by itself, and then both become one map if they fit together at one place only."""
+"""Two logs are replayed each by itself, and then both become one map if they fit together at one
+place only.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +25,9 @@ from limslam_agent.two_logs.place import place_in, sensor_of
 from limslam_env.geometry import FloatArray, se2
 
 _FURTHEST = 0.4, np.radians(10.0)
-"""The smoothed start of the second log, and the path of each log, differ by at most this from the match, m and rad."""
+"""The smoothed start of the second log, and the path of each log, differ by at most this from the
+match, m and rad.
+"""
 
 
 def check_logs(logs: Sequence[RecordedLog], config: AgentConfig) -> None:
@@ -32,18 +36,24 @@ def check_logs(logs: Sequence[RecordedLog], config: AgentConfig) -> None:
     Raises
     ------
     ValueError
-        If there are not two of them, they hold different kinds of odometry, or the settings do not smooth logs.
+        If there are not two of them, they hold different kinds of odometry, or the settings do not
+        smooth logs.
     """
     if len(logs) != 2:
         raise ValueError(f"{len(logs)} logs: one log is replayed, or two logs are joined")
     first, second = logs
     if (first.wheels is None) != (second.wheels is None):
-        raise ValueError("one log has wheel travel and the other one odometry poses: both logs must have the same")
+        raise ValueError(
+            "one log has wheel travel and the other one odometry poses: both logs must have the "
+            "same"
+        )
     if first.wheels is not None and first.robot != second.robot:
         raise ValueError("logs of wheel travel can be joined only if the same robot recorded both")
     smoothing = config.smoothing if first.wheels is None else config.run_smoothing
     if smoothing is None or not config.can_recover:
-        raise ValueError("two logs are joined by what is known at their end: this needs the preset graph")
+        raise ValueError(
+            "two logs are joined by what is known at their end: this needs the preset graph"
+        )
 
 
 def replay_logs(
@@ -52,7 +62,8 @@ def replay_logs(
     progress: Callable[[int], None] | None = None,
     report: Report = lambda _: None,
 ) -> JointReplay:
-    """Map from each of two logs by itself, and join the maps if they fit together at one place only.
+    """Map from each of two logs by itself, and join the maps if they fit together at one place
+    only.
 
     Parameters
     ----------
@@ -87,31 +98,44 @@ def joined(replays: Replays, report: Report) -> JointReplay:
     if any(each.places.unplaced is not None for each in replays):
         return _apart(replays, "the robot of one log was lost at its end")
     report("both logs, the place of the second one")
-    place = place_in(KnownPlaces(first.segments, first.grid, sensor_of(first)), second, second.smoothed.poses)
+    place = place_in(
+        KnownPlaces(first.segments, first.grid, sensor_of(first)), second, second.smoothed.poses
+    )
     match = {"match": place.record}
     if place.fit is None or place.refusal:
         return _apart(replays, place.refusal, match)
-    found = (joined_by_lines if first.log.odometry is None else joined_by_graph)(replays, place.fit.pose, report)
+    found = (joined_by_lines if first.log.odometry is None else joined_by_graph)(
+        replays, place.fit.pose, report
+    )
     if isinstance(found, str):
         return _apart(replays, f"joined and taken back: {found}", match)
-    told = {"event": "joined", "reason": "the readings fit in one place only", "start": found.poses[1][0].tolist()}
+    told = {
+        "event": "joined",
+        "reason": "the readings fit in one place only",
+        "start": found.poses[1][0].tolist(),
+    }
     return replace(found, record={**told, **match, **found.record})
 
 
 def _apart(replays: Replays, reason: str, match: dict[str, Any] | None = None) -> JointReplay:
     """Two logs that were not joined. The files of the first log's map are those of the result."""
     first = replays[0]
-    one, other = (each.estimated if each.smoothed is None else each.smoothed.poses for each in replays)
+    one, other = (
+        each.estimated if each.smoothed is None else each.smoothed.poses for each in replays
+    )
     status = Status("unsure", f"the logs were not joined: {reason}")
     record = {"event": "not joined", "reason": reason, **(match or {})}
-    return JointReplay(replays, (one, other), first.landmarks, first.segments, first.grid, status, record)
+    return JointReplay(
+        replays, (one, other), first.landmarks, first.segments, first.grid, status, record
+    )
 
 
 def joined_by_lines(replays: Replays, frame: FloatArray, report: Report) -> JointReplay | str:
-    """Smooth two logs as one run, with the frame of the second one at about a pose (3,); or why they do not fit.
+    """Smooth two logs as one run, with the frame of the second one at about a pose (3,); or why
+    they do not fit.
 
-    The joining is taken back if the result is not ``ok``, if the place or a path moves far, or if the second log also
-    fits in the shared map at a second place.
+    The joining is taken back if the result is not ``ok``, if the place or a path moves far, or if
+    the second log also fits in the shared map at a second place.
     """
     settings = replays[0].config.run_smoothing
     assert settings is not None  # noqa: S101 (the caller has looked)
@@ -132,21 +156,30 @@ def joined_by_lines(replays: Replays, frame: FloatArray, report: Report) -> Join
     if moved > _FURTHEST[0]:
         return f"smoothing both logs together moves the path of one of them by {moved:.2f} m"
     status = smoothed_status(
-        smoothed.contradictions, (run.poses, run.covariances), (smoothed.poses, smoothed.covariances),
+        smoothed.contradictions,
+        (run.poses, run.covariances),
+        (smoothed.poses, smoothed.covariances),
         while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
-    )  # fmt: skip
+    )
     if status.level != "ok":
         return status.reason
     grid = draw_grid(replays, poses, smoothed.robot)
-    again = place_in(KnownPlaces(smoothed.segments, grid, sensor_of(replays[0])), replays[1], poses[1])
+    again = place_in(
+        KnownPlaces(smoothed.segments, grid, sensor_of(replays[0])), replays[1], poses[1]
+    )
     if again.refusal:
         return again.refusal
     doubts = (each.places.doubt for each in replays)
     return JointReplay(
-        replays, poses, smoothed.landmarks, smoothed.segments, grid,
-        next((doubt for doubt in doubts if doubt.reason), status), {},
+        replays,
+        poses,
+        smoothed.landmarks,
+        smoothed.segments,
+        grid,
+        next((doubt for doubt in doubts if doubt.reason), status),
+        {},
         {"smoothed_contradictions": smoothed.contradictions},
-    )  # fmt: skip
+    )
 
 
 def _run_of(replay: Replay) -> FilteredRun:

@@ -20,7 +20,8 @@ class JointReplay:
     """The result of two logs."""
 
     replays: Replays  # each log by itself
-    # Smoothed poses (n, 3) and (m, 3) of all events: in the frame of the first log, or each in its own frame
+    # Smoothed poses (n, 3) and (m, 3) of all events: in the frame of the first log, or each in its
+    # own frame
     poses: tuple[FloatArray, FloatArray]
     # landmarks, segments, grid: the map; that of the first log if the logs were not joined
     landmarks: list[Landmark]
@@ -29,7 +30,9 @@ class JointReplay:
     status: Status  # whether map and paths can be trusted
     record: dict[str, Any]  # the joining, or why the logs were not joined
     figures: dict[str, Any] = field(default_factory=dict)  # for the metrics of ``result.json``
-    loops: list[dict[str, Any]] | None = None  # for ``loops.json``. None without the graph of local maps.
+    loops: list[dict[str, Any]] | None = (
+        None  # for ``loops.json``. None without the graph of local maps.
+    )
     seconds: float = 0.0  # CPU time of the joining, s
 
     @property
@@ -51,7 +54,8 @@ class JointReplay:
     def paths(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Poses of all events, (n, 3) and (m, 3), in the frames of ``poses``.
 
-        They are by the names of their files: as they were believed while driving, by odometry alone, and smoothed.
+        They are by the names of their files: as they were believed while driving, by odometry
+        alone, and smoothed.
         """
         one, other = self.replays
         return {

@@ -1,4 +1,6 @@
-"""The folder of two logs: each log's own results, and the map and the paths of both in one frame."""
+"""The folder of two logs: each log's own results, and the map and the paths of both in one
+frame.
+"""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -21,11 +23,14 @@ LOG_FOLDERS = ("log_0", "log_1")
 Source = dict[str, str | None]
 
 
-def relation_scores(joint: JointReplay, relations: tuple[Relations | None, Relations | None]) -> dict[str, Any]:
-    """Errors of relative poses against known ones: over the relations of each log, and over those between the logs.
+def relation_scores(
+    joint: JointReplay, relations: tuple[Relations | None, Relations | None]
+) -> dict[str, Any]:
+    """Errors of relative poses against known ones: over the relations of each log, and over those
+    between the logs.
 
-    Relations between the logs are known only if one set of relations is given for both logs, and the times of the logs
-    do not overlap.
+    Relations between the logs are known only if one set of relations is given for both logs, and
+    the times of the logs do not overlap.
     """
     logs, scores = [each.log for each in joint.replays], dict[str, Any]()
     paths = joint.paths()
@@ -41,7 +46,9 @@ def relation_scores(joint: JointReplay, relations: tuple[Relations | None, Relat
     is_apart = logs[0].time.max() < logs[1].time.min() or logs[1].time.max() < logs[0].time.min()
     if joint.is_joined and one is not None and one is other and is_apart:
         found = summary(_errors_between(joint, one))
-        scores |= {f"smoothed_between_{name}": value for name, value in found.items() if "loop" not in name}
+        scores |= {
+            f"smoothed_between_{name}": value for name, value in found.items() if "loop" not in name
+        }
     return scores
 
 
@@ -79,13 +86,19 @@ def write_joint_replay(
         Metrics of each log by itself, and of both together.
     """
     own = []
-    for name, replay, source, each in zip(LOG_FOLDERS, joint.replays, sources, scores[:2], strict=True):
+    for name, replay, source, each in zip(
+        LOG_FOLDERS, joint.replays, sources, scores[:2], strict=True
+    ):
         (folder / name).mkdir()
         own.append(write_replay(folder / name, replay, source, each))
     for number, replay in enumerate(joint.replays):
         for kind, paths in joint.paths().items():
             write_tum(folder / f"trajectory_{kind}_{number}.tum", replay.log.time, paths[number])
-    true = [(each.log.time, each.log.true_pose) for each in joint.replays if each.log.true_pose is not None]
+    true = [
+        (each.log.time, each.log.true_pose)
+        for each in joint.replays
+        if each.log.true_pose is not None
+    ]
     if joint.is_joined and len(true) == len(joint.replays):
         for number, (time, poses) in enumerate(true):
             write_tum(folder / f"trajectory_true_{number}.tum", time, poses)
@@ -109,11 +122,20 @@ def _result(
     replays = joint.replays
     duration = sum(float(np.ptp(each.log.time)) for each in replays)
     records = [each["record"] for each in own]
-    statuses = {"status": joint.status.level, "status_reason": joint.status.reason, "status_note": ""}
-    counts = {"landmarks": len(joint.segments), "refused_readings": sum(each.refused_readings for each in replays)}
+    statuses = {
+        "status": joint.status.level,
+        "status_reason": joint.status.reason,
+        "status_note": "",
+    }
+    counts = {
+        "landmarks": len(joint.segments),
+        "refused_readings": sum(each.refused_readings for each in replays),
+    }
     seconds = [each.smoothed.seconds for each in replays if each.smoothed is not None]
     cost = run_cost(
-        duration, sum(each.wall_clock for each in replays), slam=np.concatenate([each.slam_ms for each in replays])
+        duration,
+        sum(each.wall_clock for each in replays),
+        slam=np.concatenate([each.slam_ms for each in replays]),
     )
     return {
         "metrics": {**scores, **joint.figures, **statuses, **counts},
@@ -143,12 +165,25 @@ def _draw(path: Path, joint: JointReplay, sources: tuple[Source, Source]) -> Non
 
     count = 2 if joint.is_joined else 1
     names = " and ".join(str(each["log"]) for each in sources[:count])
-    beams = " and ".join(str(number) for number in dict.fromkeys(len(each.log.robot.beams) for each in joint.replays))
-    true_paths = [each.log.true_pose[:, :2] for each in joint.replays[:count] if each.log.true_pose is not None]
-    online, odometry, smoothed = ([poses[:, :2] for poses in paths[:count]] for paths in joint.paths().values())
+    beams = " and ".join(
+        str(number) for number in dict.fromkeys(len(each.log.robot.beams) for each in joint.replays)
+    )
+    true_paths = [
+        each.log.true_pose[:, :2]
+        for each in joint.replays[:count]
+        if each.log.true_pose is not None
+    ]
+    online, odometry, smoothed = (
+        [poses[:, :2] for poses in paths[:count]] for paths in joint.paths().values()
+    )
     picture = MapPicture(
-        f"{names}, {beams} beams, {joint.replays[0].config.preset}", joint.segments, smoothed, odometry,
+        f"{names}, {beams} beams, {joint.replays[0].config.preset}",
+        joint.segments,
+        smoothed,
+        odometry,
         true=true_paths if len(true_paths) == count else [],
-        grid=joint.grid, online=online, remark=joint.status.remark,
-    )  # fmt: skip
+        grid=joint.grid,
+        online=online,
+        remark=joint.status.remark,
+    )
     draw_map(path, picture)

@@ -1,8 +1,9 @@
 """Where a second log lies in the map of the first one.
 
-The second log is divided into stretches, and the readings of each are searched in the whole map, by the likelihood by
-which a robot that was carried away is found. A stretch of a corridor fits in many places. But all stretches of a right
-place move the log by the same motion, so that their evidence adds up, and chance fits disagree.
+The second log is divided into stretches, and the readings of each are searched in the whole map, by
+the likelihood by which a robot that was carried away is found. A stretch of a corridor fits in many
+places. But all stretches of a right place move the log by the same motion, so that their evidence
+adds up, and chance fits disagree.
 """
 
 from dataclasses import dataclass
@@ -19,9 +20,14 @@ from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import Sight, rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
-_LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the beginnings of two stretches
+_LENGTH, _EVERY = (
+    12.0,
+    8.0,
+)  # m of driving: of a stretch, and between the beginnings of two stretches
 _KEPT = 20  # places of a stretch, all with an evidence that is no chance
-_MOST_CONTRADICTED = 0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
+_MOST_CONTRADICTED = (
+    0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
+)
 
 NO_MATCH = "no two stretches of one log fit in the other log at places that agree"
 
@@ -33,7 +39,8 @@ class Place:
     Attributes
     ----------
     fit
-        Pose of the log's frame, and what its stretches say of it together. None if there is no place.
+        Pose of the log's frame, and what its stretches say of it together. None if there is no
+        place.
     runner_up
         The largest evidence of another place.
     refusal
@@ -50,7 +57,11 @@ class Place:
         fit = self.fit
         if fit is None:
             return {}
-        figures = {"evidence": fit.evidence, "contradictions": fit.contradictions, "tested": fit.tested}
+        figures = {
+            "evidence": fit.evidence,
+            "contradictions": fit.contradictions,
+            "tested": fit.tested,
+        }
         return {"pose": fit.pose.tolist(), **figures, "runner_up": self.runner_up}
 
 
@@ -74,7 +85,10 @@ def place_in(known: KnownPlaces, replay: Replay, poses: FloatArray) -> Place:
     if not fits:
         return Place(None, 0.0, NO_MATCH)
     agree = _agreements(fits)
-    evidence, stretches = np.array([each.fit.evidence for each in fits]), np.array([each.stretch for each in fits])
+    evidence, stretches = (
+        np.array([each.fit.evidence for each in fits]),
+        np.array([each.stretch for each in fits]),
+    )
     of_stretch = [np.flatnonzero(stretches == each) for each in np.unique(stretches)]
     support = np.sum([(agree[:, rows] * evidence[rows]).max(axis=1) for rows in of_stretch], axis=0)
     best = int(np.argmax(support))
@@ -82,9 +96,11 @@ def place_in(known: KnownPlaces, replay: Replay, poses: FloatArray) -> Place:
     members = [rows[weights[rows].argmax()] for rows in of_stretch if weights[rows].any()]
     most = fits[max(members, key=lambda row: evidence[row])]
     fit = PlaceFit(
-        most.fit.pose, float(support[best]), sum(fits[row].fit.contradictions for row in members),
+        most.fit.pose,
+        float(support[best]),
+        sum(fits[row].fit.contradictions for row in members),
         sum(fits[row].fit.tested for row in members),
-    )  # fmt: skip
+    )
     others = ~agree[members].any(axis=0)
     runner_up = float(support[others].max(initial=0.0))
     return Place(fit, runner_up, _refusal(fit, runner_up, len(members)))
@@ -109,12 +125,16 @@ def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
 
 
 def _agreements(fits: list[_Fit]) -> BoolArray:
-    """Which fits (k, k) are of the same place. Those of the same stretch agree only with themselves.
+    """Which fits (k, k) are of the same place. Those of the same stretch agree only with
+    themselves.
 
-    The place of one predicts that of the other as two loops do. What the turn makes of the distance between them is
-    added, because each log may be bent.
+    The place of one predicts that of the other as two loops do. What the turn makes of the distance
+    between them is added, because each log may be bent.
     """
-    poses, middles = np.array([each.fit.pose for each in fits]), np.array([each.middle for each in fits])
+    poses, middles = (
+        np.array([each.fit.pose for each in fits]),
+        np.array([each.middle for each in fits]),
+    )
     placed = np.column_stack((middles, np.zeros(len(fits))))
     predicted, own = se2.compose(poses[:, None], placed[None]), se2.compose(poses, placed)
     off = se2.between(predicted, np.broadcast_to(own[None], predicted.shape))
@@ -122,7 +142,10 @@ def _agreements(fits: list[_Fit]) -> BoolArray:
     far = AGREE_DISTANCE + AGREE_TURN * np.hypot(*np.moveaxis(between, -1, 0))
     agree = (np.hypot(off[..., 0], off[..., 1]) < far) & (np.abs(off[..., 2]) < AGREE_TURN)
     stretches = np.array([each.stretch for each in fits])
-    return np.asarray((agree & agree.T & (stretches[:, None] != stretches[None])) | np.eye(len(fits), dtype=np.bool_))
+    return np.asarray(
+        (agree & agree.T & (stretches[:, None] != stretches[None]))
+        | np.eye(len(fits), dtype=np.bool_)
+    )
 
 
 def _refusal(fit: PlaceFit, runner_up: float, stretches: int) -> str:

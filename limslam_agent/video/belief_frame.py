@@ -23,7 +23,8 @@ _MM = 1e-3
 class Event:
     """The association of an observed line, or a loop closure."""
 
-    # ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same wall.
+    # ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two
+    # walls are the same wall.
     kind: Literal["new", "again", "loop"]
     wall: int  # Number of the wall
     other: int | None = None  # For a loop, number of the older wall that is the same as ``wall``
@@ -50,44 +51,61 @@ class HoughView:
     robot: int
     side: Literal["left", "right"]
     points: FloatArray  # The points that voted (p, 2), m, in the world frame
-    # Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
-    # the row. theta goes from 0 to pi in the robot's frame.
+    # Number of votes for each line (r bins, theta bins). r is measured from the mean of the points
+    # and increases with the row. theta goes from 0 to pi in the robot's frame.
     votes: IntArray
     r_reach: float  # The bins of r go from minus this value to plus this value, m
     peaks: FloatArray  # The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``
-    segments: FloatArray  # The extracted lines (k, 4), m, in the world frame, cut to the extent of their points
+    # The extracted lines (k, 4), m, in the world frame, cut to the extent of their points
+    segments: FloatArray
 
     @classmethod
     def of(cls, extraction: Mapping[str, Any], time: float) -> "HoughView":
-        """The view of an extraction as a recording has it (``limslam_agent.inspect.event_log``), at a time, s.
+        """The view of an extraction as a recording has it (``limslam_agent.inspect.event_log``), at
+        a time, s.
 
         The bins of r are those of the estimator, so that the votes are those that it saw.
         """
         points = _MM * np.array(extraction["points"], dtype=float).reshape(-1, 2)
         lines, pose = np.array(extraction["lines"]).reshape(-1, 2), np.array(extraction["pose"])
-        # The estimator counts votes about the mean of the points, where r and theta are nearly independent.
+        # The estimator counts votes about the mean of the points, where r and theta are nearly
+        # independent.
         centre = points.mean(axis=0) if len(points) else np.zeros(2)
         votes, reach = hough_image(points - centre, extraction["r_step"])
         shifted = lines - np.column_stack((normal(lines) @ centre, np.zeros(len(lines))))
-        segments = transform_points(pose, np.array(extraction["ends"]).reshape(-1, 2)).reshape(-1, 4)
+        segments = transform_points(pose, np.array(extraction["ends"]).reshape(-1, 2)).reshape(
+            -1, 4
+        )
         return cls(
-            time, extraction["robot"], extraction["side"], transform_points(pose, points), votes, reach,
-            _upper_half(shifted), segments,
-        )  # fmt: skip
+            time,
+            extraction["robot"],
+            extraction["side"],
+            transform_points(pose, points),
+            votes,
+            reach,
+            _upper_half(shifted),
+            segments,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class BeliefFrame:
-    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots."""
+    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n
+    robots.
+    """
 
     time: float  # Simulated time, s
     poses: FloatArray  # (n, 3)
     covariances: FloatArray  # of the poses (n, 3, 3)
-    walls: Sequence[Landmark] = ()  # All landmarks. A wall is called by its number plus one, also in ``events``.
+    walls: Sequence[
+        Landmark
+    ] = ()  # All landmarks. A wall is called by its number plus one, also in ``events``.
     # Names of provisional walls, which were seen too few times. They are drawn thinner.
     unsure: frozenset[int] = frozenset()
     grid: GridView | None = None  # Occupancy grid. None draws no grid.
-    frontier: FloatArray = field(default_factory=lambda: no_rows(2))  # Centres of the frontier cells (m, 2)
+    frontier: FloatArray = field(
+        default_factory=lambda: no_rows(2)
+    )  # Centres of the frontier cells (m, 2)
     # Each robot's planned path (p, 2) and its goal (2,) or None
     plans: Sequence[FloatArray] = ()
     goals: Sequence[FloatArray | None] = ()
@@ -101,12 +119,12 @@ class BeliefFrame:
 
 
 def wall_bands(walls: Sequence[Landmark], sigmas: float = 2.0, samples: int = 9) -> FloatArray:
-    """Outlines (k, 2 samples, 2), m, of the regions that contain the walls, ``sigmas`` standard deviations to each
-    side.
+    """Outlines (k, 2 samples, 2), m, of the regions that contain the walls, ``sigmas`` standard
+    deviations to each side.
 
-    A change (dr, dtheta) of a line moves its points by dr - s dtheta across the line, where s is the distance along the
-    line from the foot of the origin's perpendicular. The variance there is P_rr - 2 s P_rt + s^2 P_tt. The band is
-    narrow where the wall was seen and wider beyond.
+    A change (dr, dtheta) of a line moves its points by dr - s dtheta across the line, where s is
+    the distance along the line from the foot of the origin's perpendicular. The variance there is
+    P_rr - 2 s P_rt + s^2 P_tt. The band is narrow where the wall was seen and wider beyond.
     """
     lines = np.array([(wall.r, wall.theta) for wall in walls]).reshape(-1, 2)
     covariances = np.array([wall.covariance for wall in walls]).reshape(-1, 2, 2)
@@ -121,8 +139,11 @@ def wall_bands(walls: Sequence[Landmark], sigmas: float = 2.0, samples: int = 9)
     return np.concatenate((places + across, (places - across)[:, ::-1]), axis=1)
 
 
-def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) -> tuple[IntArray, float]:
-    """Number of points (p, 2), m, on each line (r, theta), with theta from 0 to pi and r from -reach to reach.
+def hough_image(
+    points: FloatArray, r_step: float = 0.02, theta_bins: int = 90
+) -> tuple[IntArray, float]:
+    """Number of points (p, 2), m, on each line (r, theta), with theta from 0 to pi and r from
+    -reach to reach.
 
     Returns
     -------
@@ -133,7 +154,8 @@ def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) 
     """
     farthest = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
     step = max(r_step, 2.0 * farthest / _MOST_R_BINS)
-    # The number of bins is odd. The middle bin is centred at r = 0, where a wall through all points gets its votes.
+    # The number of bins is odd. The middle bin is centred at r = 0, where a wall through all points
+    # gets its votes.
     half = math.ceil(farthest / step)
     theta = (np.arange(theta_bins) + 0.5) * (math.pi / theta_bins)
     r = points @ np.vstack((np.cos(theta), np.sin(theta)))
@@ -146,4 +168,6 @@ def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) 
 def _upper_half(lines: FloatArray) -> FloatArray:
     """The same lines (k, 2) with theta in [0, pi), as in the votes. r may be negative."""
     turns = np.floor(lines[:, 1] / math.pi)
-    return np.column_stack((np.where(turns % 2 == 0, lines[:, 0], -lines[:, 0]), lines[:, 1] - turns * math.pi))
+    return np.column_stack(
+        (np.where(turns % 2 == 0, lines[:, 0], -lines[:, 0]), lines[:, 1] - turns * math.pi)
+    )

@@ -1,4 +1,6 @@
-"""The small panels of a video: Hough votes, scan buffers, list of events, stages of the method, and legend."""
+"""The small panels of a video: Hough votes, scan buffers, list of events, stages of the method, and
+legend.
+"""
 
 import functools
 import math
@@ -37,7 +39,15 @@ from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.video.belief_frame import HoughView
 from limslam_env.messages import counted
 
-STAGES = ("predict", "collect", "find lines", "associate", "correct or add", "close loops", "explore")
+STAGES = (
+    "predict",
+    "collect",
+    "find lines",
+    "associate",
+    "correct or add",
+    "close loops",
+    "explore",
+)
 """Stages of the method in the order of a step."""
 
 _ROW = 19  # pixels from one line of small text to the next
@@ -53,7 +63,8 @@ def blank(width: int, height: int) -> Image:
 
 @functools.lru_cache(maxsize=2)
 def draw_hough(hough: HoughView | None, width: int, height: int, *, several: bool = False) -> Image:
-    """The votes of the latest extraction as a heat map, theta to the right and r upwards, with rings around the peaks.
+    """The votes of the latest extraction as a heat map, theta to the right and r upwards, with
+    rings around the peaks.
 
     Without an extraction the axes are empty. With several robots the panel names one.
     """
@@ -81,15 +92,21 @@ def _heat_map(hough: HoughView, width: int, height: int) -> Image:
     below = np.minimum(place.astype(int), len(_RAMP) - 2)
     part = (place - below)[..., None]
     colours = np.round(_RAMP[below] * (1.0 - part) + _RAMP[below + 1] * part).astype(np.uint8)
-    return np.asarray(cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8)
+    return np.asarray(
+        cv2.resize(colours, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.uint8
+    )
 
 
 def _ring_peaks(area: Image, hough: HoughView) -> None:
     height, width = area.shape[:2]
     for number, (r, theta) in enumerate(hough.peaks):
         x, y = theta / math.pi * width, (0.5 - 0.5 * r / hough.r_reach) * height
-        # A line near 0 or 180 degrees appears at both edges. The ring is moved so that all of it is visible.
-        centre = (round(16 * float(np.clip(x, 6, width - 7))), round(16 * float(np.clip(y, 6, height - 7))))
+        # A line near 0 or 180 degrees appears at both edges. The ring is moved so that all of it is
+        # visible.
+        centre = (
+            round(16 * float(np.clip(x, 6, width - 7))),
+            round(16 * float(np.clip(y, 6, height - 7))),
+        )
         cv2.circle(area, centre, 16 * 9, INK, 4, cv2.LINE_AA, 4)
         cv2.circle(area, centre, 16 * 9, PEAKS[number % len(PEAKS)], 2, cv2.LINE_AA, 4)
 
@@ -100,12 +117,21 @@ def _draw_axes(panel: Image, box: tuple[int, int, int, int], reach: float) -> No
         x = left + round((right - left) * degrees / 180)
         cv2.line(panel, (x, bottom), (x, bottom + 3), FAINT, 1)
         write(panel, f"{degrees}°", (min(x, right - 9), bottom + 15), 11, TEXT, anchor="centre")
-    step = max(size for size in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if size <= max(reach, 0.05))
+    step = max(
+        size for size in (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if size <= max(reach, 0.05)
+    )
     for r in (-step, 0.0, step):
         y = round(0.5 * (top + bottom) - 0.5 * (bottom - top) * r / reach)
         cv2.line(panel, (left - 4, y), (left - 2, y), FAINT, 1)
         write(panel, f"{r:g}", (left - 7, y + 4), 11, TEXT, anchor="right")
-    write(panel, "theta, direction of the normal", ((left + right) // 2, bottom + 31), 11, TEXT, anchor="centre")
+    write(
+        panel,
+        "theta, direction of the normal",
+        ((left + right) // 2, bottom + 31),
+        11,
+        TEXT,
+        anchor="centre",
+    )
     upright = blank(bottom - top, 14)
     words = "r, distance of the line, m"
     write(
@@ -125,7 +151,9 @@ def buffers_height(robots: int) -> int:
 
 
 def draw_buffers(buffers: Sequence[PendingPoints], width: int, height: int) -> Image:
-    """How full the buffers are, as bars one below the other. For several robots one row per robot."""
+    """How full the buffers are, as bars one below the other. For several robots one row per
+    robot.
+    """
     panel = blank(width, height)
     title = "Points in the scan buffers"
     if any(buffer.new is not None for buffer in buffers):
@@ -174,7 +202,14 @@ def draw_log(lines: Sequence[tuple[float, str, str]], width: int, height: int) -
         y = 34 + row * _ROW
         colour = mixed(INK, PAPER, min(0.12 * row, 0.6))
         write(panel, f"{time:.1f} s", (50, y), 12, mixed(colour, PAPER, 0.3), anchor="right")
-        cv2.circle(panel, (61, y - 4), 4, mixed(marks.get(kind, FAINT), PAPER, min(0.1 * row, 0.5)), -1, cv2.LINE_AA)
+        cv2.circle(
+            panel,
+            (61, y - 4),
+            4,
+            mixed(marks.get(kind, FAINT), PAPER, min(0.1 * row, 0.5)),
+            -1,
+            cv2.LINE_AA,
+        )
         write(panel, fitted(words, 12, width - 72), (72, y), 12, colour, bold=kind == "loop")
     return panel
 
@@ -191,15 +226,30 @@ def draw_stages(active: tuple[int, ...], width: int, height: int) -> Image:
         fill, ink = (INK, PAPER) if is_on else (mixed(RULE, PAPER, 0.45), TEXT)
         _rounded(panel, left, right, height, fill)
         write(
-            panel, f"{number + 1}  {name}", ((left + right) // 2, height // 2 + 5), 13, ink, bold=is_on, anchor="centre"
+            panel,
+            f"{number + 1}  {name}",
+            ((left + right) // 2, height // 2 + 5),
+            13,
+            ink,
+            bold=is_on,
+            anchor="centre",
         )
         if number:
             tip, middle = left - 5, height // 2
             cv2.line(panel, (left - gap + 4, middle), (tip, middle), FAINT, 1, cv2.LINE_AA)
             cv2.polylines(
-                panel, [np.array([(tip - 4, middle - 4), (tip, middle), (tip - 4, middle + 4)], dtype=np.int32)],
-                isClosed=False, color=FAINT, thickness=1, lineType=cv2.LINE_AA,
-            )  # fmt: skip
+                panel,
+                [
+                    np.array(
+                        [(tip - 4, middle - 4), (tip, middle), (tip - 4, middle + 4)],
+                        dtype=np.int32,
+                    )
+                ],
+                isClosed=False,
+                color=FAINT,
+                thickness=1,
+                lineType=cv2.LINE_AA,
+            )
     return panel
 
 
@@ -215,9 +265,17 @@ def draw_legend(width: int, height: int) -> Image:
     """The meaning of the map's colours, in one row."""
     panel = blank(width, height)
     names = (
-        "possible position (95 %)", "wall, 2 sigma", "free", "occupied", "unknown", "frontier", "path and goal",
-        "points, left", "points, right", "beam that hits",
-    )  # fmt: skip
+        "possible position (95 %)",
+        "wall, 2 sigma",
+        "free",
+        "occupied",
+        "unknown",
+        "frontier",
+        "path and goal",
+        "points, left",
+        "points, right",
+        "beam that hits",
+    )
     symbol, gap = 26, 14
     x, middle = 0, height // 2
     for number, name in enumerate(names):
@@ -231,10 +289,21 @@ def _draw_symbol(panel: Image, number: int, x: int, y: int) -> None:
     """The symbol of a legend entry in a box of 20 pixels that begins at x."""
     blue = ROBOTS[0]
     if number == 0:
-        cv2.ellipse(panel, (x + 10, y), (10, 7), 0, 0, 360, mixed(blue, PAPER, 0.65), -1, cv2.LINE_AA)
+        cv2.ellipse(
+            panel, (x + 10, y), (10, 7), 0, 0, 360, mixed(blue, PAPER, 0.65), -1, cv2.LINE_AA
+        )
         cv2.circle(panel, (x + 10, y), 4, blue, -1, cv2.LINE_AA)
     elif number == 1:
-        bow = np.array([(x, y - 6), (x + 10, y - 2), (x + 20, y - 6), (x + 20, y + 6), (x + 10, y + 2), (x, y + 6)])
+        bow = np.array(
+            [
+                (x, y - 6),
+                (x + 10, y - 2),
+                (x + 20, y - 6),
+                (x + 20, y + 6),
+                (x + 10, y + 2),
+                (x, y + 6),
+            ]
+        )
         cv2.fillPoly(panel, [bow.astype(np.int32)], mixed(WALL, PAPER, 0.75), cv2.LINE_AA)
         cv2.line(panel, (x, y), (x + 20, y), WALL, 2)
     elif number in {2, 3, 4, 5}:
@@ -249,4 +318,11 @@ def _draw_symbol(panel: Image, number: int, x: int, y: int) -> None:
         cv2.circle(panel, (x + 18, y - 2), 2, BEAM, -1, cv2.LINE_AA)
     else:
         for dx, dy in ((5, 2), (11, -1), (17, 1)):
-            cv2.circle(panel, (x + dx, y + dy), 2, side_colour("left" if number == 7 else "right"), -1, cv2.LINE_AA)
+            cv2.circle(
+                panel,
+                (x + dx, y + dy),
+                2,
+                side_colour("left" if number == 7 else "right"),
+                -1,
+                cv2.LINE_AA,
+            )

@@ -53,20 +53,34 @@ class Sheet:
 
     def pixels(self, points: FloatArray) -> NDArray[np.int32]:
         """Positions (n, 2), m, in the fixed-point pixel coordinates of OpenCV."""
-        scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + (0.0, self.image.shape[0])
+        scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + (
+            0.0,
+            self.image.shape[0],
+        )
         # An estimate may lie anywhere, but OpenCV uses 32-bit coordinates.
-        return np.asarray(np.round(np.clip(scaled - 0.5, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32)
+        return np.asarray(
+            np.round(np.clip(scaled - 0.5, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32
+        )
 
-    def path(self, points: FloatArray, colour: Colour, width: int = 1, *, closed: bool = False) -> None:
+    def path(
+        self, points: FloatArray, colour: Colour, width: int = 1, *, closed: bool = False
+    ) -> None:
         """Draw lines through points (n, 2), m. The width is in pixels."""
         if len(points):
             cv2.polylines(
-                self.image, [self.pixels(points)], isClosed=closed, color=colour, thickness=width,
-                lineType=cv2.LINE_AA, shift=_SHIFT,
-            )  # fmt: skip
+                self.image,
+                [self.pixels(points)],
+                isClosed=closed,
+                color=colour,
+                thickness=width,
+                lineType=cv2.LINE_AA,
+                shift=_SHIFT,
+            )
 
     def discs(self, centres: FloatArray, radius: float, colour: Colour, width: int = -1) -> None:
-        """Draw discs at positions (n, 2), m, or rings of a width in pixels. The radius is in pixels."""
+        """Draw discs at positions (n, 2), m, or rings of a width in pixels. The radius is in
+        pixels.
+        """
         size = round(radius * (1 << _SHIFT))
         for x, y in self.pixels(centres.reshape(-1, 2)).tolist():
             cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
@@ -79,7 +93,9 @@ class Sheet:
         height, width = self.image.shape[:2]
         # Only the bounding box is blended, because most polygons are small.
         left, top = np.maximum((corners.min(axis=(0, 1)) >> _SHIFT) - 2, 0).tolist()
-        right, bottom = np.minimum((corners.max(axis=(0, 1)) >> _SHIFT) + 3, (width, height)).tolist()
+        right, bottom = np.minimum(
+            (corners.max(axis=(0, 1)) >> _SHIFT) + 3, (width, height)
+        ).tolist()
         if left >= right or top >= bottom:
             return
         cover = np.zeros((bottom - top, right - left), dtype=np.uint8)
@@ -98,8 +114,11 @@ class Sheet:
         write(self.image, words, (x, y + above - 3), size, ink, bold=True, anchor="centre")
 
 
-def draw_belief(frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Image:
-    """What is believed, as an RGB image (height, width, 3) of a size (width, height). Walls of events are highlighted.
+def draw_belief(
+    frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray]
+) -> Image:
+    """What is believed, as an RGB image (height, width, 3) of a size (width, height). Walls of
+    events are highlighted.
 
     ``window`` has the lower left and the upper right corner (2,), m, of the visible region.
     """
@@ -130,7 +149,9 @@ def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Shee
 
 
 def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
-    """Draw the cells: light where free, grey where occupied, with a stronger colour for a larger value."""
+    """Draw the cells: light where free, grey where occupied, with a stronger colour for a larger
+    value.
+    """
     grid = frame.grid
     if grid is None or not grid.values.size:
         return
@@ -142,11 +163,17 @@ def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     step = 1.0 / (sheet.scale * grid.cell)
     column, row = (sheet.low - grid.low) / grid.cell
     height, width = sheet.image.shape[:2]
-    to_cells = np.array([[step, 0.0, column + 0.5 * step - 0.5], [0.0, -step, row + (height - 0.5) * step - 0.5]])
+    to_cells = np.array(
+        [[step, 0.0, column + 0.5 * step - 0.5], [0.0, -step, row + (height - 0.5) * step - 0.5]]
+    )
     cv2.warpAffine(
-        cells, to_cells, (width, height), dst=sheet.image, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
+        cells,
+        to_cells,
+        (width, height),
+        dst=sheet.image,
+        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_TRANSPARENT,
-    )  # fmt: skip
+    )
     half = 0.42 * grid.cell * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     sheet.wash(frame.frontier[:, None] + half, FRONTIER, 0.55)
 
@@ -155,7 +182,9 @@ def _draw_bands(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the walls' uncertainty, up to a distance from each wall."""
     ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
     low, high = ends.min(axis=1, keepdims=True), ends.max(axis=1, keepdims=True)
-    sheet.wash(np.clip(wall_bands(frame.walls), low - _WIDEST_BAND, high + _WIDEST_BAND), WALL, 0.22)
+    sheet.wash(
+        np.clip(wall_bands(frame.walls), low - _WIDEST_BAND, high + _WIDEST_BAND), WALL, 0.22
+    )
 
 
 def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
@@ -170,7 +199,9 @@ def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
 
 
 def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
-    """Draw the walls' numbers. Walls of events are highlighted, and the two walls of a loop are connected."""
+    """Draw the walls' numbers. Walls of events are highlighted, and the two walls of a loop are
+    connected.
+    """
     middles = {wall.number + 1: wall.ends.mean(axis=0) for wall in frame.walls}
     glowing = {wall for event in frame.events for wall in event.walls}
     for name, middle in middles.items():
@@ -189,7 +220,9 @@ def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
 
 
 def _draw_extraction(sheet: Sheet, hough: HoughView) -> None:
-    """Draw rings around the points that voted, and each extracted line in the colour of its peak."""
+    """Draw rings around the points that voted, and each extracted line in the colour of its
+    peak.
+    """
     for number, segment in enumerate(hough.segments.reshape(-1, 2, 2)):
         colour = mixed(PEAKS[number % len(PEAKS)], INK, 0.15)
         beyond = 0.25 * (segment[1] - segment[0])
@@ -219,7 +252,9 @@ def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: 
     size = max(_RADIUS * sheet.scale, 4.0)
     sheet.discs(pose[:2], size, colour)
     sheet.discs(pose[:2], size, mixed(colour, INK, 0.4), 1)
-    corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (1.25 * size / sheet.scale)
+    corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (
+        1.25 * size / sheet.scale
+    )
     cos, sin = math.cos(heading), math.sin(heading)
     sheet.wash((pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]))[None], PAPER)
     sheet.path(outline, mixed(colour, INK, 0.4), 1, closed=True)

@@ -6,7 +6,19 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from limslam_agent.output.style import FAINT, GLOW, INK, PAPER, RULE, TEXT, Image, fitted, mixed, width_of, write
+from limslam_agent.output.style import (
+    FAINT,
+    GLOW,
+    INK,
+    PAPER,
+    RULE,
+    TEXT,
+    Image,
+    fitted,
+    mixed,
+    width_of,
+    write,
+)
 from limslam_agent.video.belief_frame import BeliefFrame
 from limslam_agent.video.belief_panels import (
     blank,
@@ -30,10 +42,13 @@ _GAP, _TOP, _FOOT = 16, 80, 134
 _SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
 _LAST_FRAME = 3.0  # s of the video
 
-# Margin around the world and largest size of the simulator's pictures (limslam_env.rendering.rendering), pixels.
+# Margin around the world and largest size of the simulator's pictures
+# (limslam_env.rendering.rendering), pixels.
 _TRUTH_MARGIN, _TRUTH_MOST = 30, (1600, 640)
 _KEPT_MARGIN = 5
-_ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map that has drifted stays visible
+_ADDED_MARGIN = (
+    0.04  # share of the world's size at each side, so that a map that has drifted stays visible
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +57,13 @@ class Scene:
 
     caption: Caption
     title: str
-    log: Sequence[tuple[float, str, str]]  # Past events, with the latest first: time (s), kind and text
+    log: Sequence[
+        tuple[float, str, str]
+    ]  # Past events, with the latest first: time (s), kind and text
     coverage: float  # True coverage, 0 to 1
-    window: tuple[FloatArray, FloatArray]  # Corners (2,), m, of the region that the picture of the belief shows
+    window: tuple[
+        FloatArray, FloatArray
+    ]  # Corners (2,), m, of the region that the picture of the belief shows
     is_paused: bool = False  # Whether the video is paused for the caption
 
 
@@ -62,7 +81,8 @@ class Layout:
 class Film:
     """Makes the frames of a run and gives them to a writer.
 
-    Both pictures show the smallest box around all walls of the world, with the corners ``low`` and ``high`` (2,), m.
+    Both pictures show the smallest box around all walls of the world, with the corners ``low`` and
+    ``high`` (2,), m.
     """
 
     def __init__(self, writer: VideoWriter, low: FloatArray, high: FloatArray, title: str) -> None:
@@ -76,22 +96,26 @@ class Film:
         return time >= self._next - 1e-6
 
     def add(self, truth: Image, frame: BeliefFrame, coverage: float) -> None:
-        """Add a frame: the picture (h, w, 3), RGB, that ``limslam_env.rendering.rendering.render`` draws of the
-        simulation, what is believed, and the true coverage, 0 to 1.
+        """Add a frame: the picture (h, w, 3), RGB, that ``limslam_env.rendering.rendering.render``
+        draws of the simulation, what is believed, and the true coverage, 0 to 1.
         """
-        # The next frame is due a period after the last one was, whenever that was drawn: steps need not fit the period.
+        # The next frame is due a period after the last one was, whenever that was drawn: steps need
+        # not fit the period.
         self._next = max(self._next, frame.time - SPEED / FPS) + SPEED / FPS
         cropped, window = cropped_truth(truth, *self._corners)
         for caption, pause in self._narrator.hear(frame):
             scene = Scene(caption, self._title, self._narrator.log, coverage, window, pause > 0.0)
-            # Only the walls of the current caption are highlighted, and the votes are those that it speaks of.
+            # Only the walls of the current caption are highlighted, and the votes are those that it
+            # speaks of.
             events = () if caption.event is None else (caption.event,)
             shown = replace(frame, events=events, hough=caption.hough or frame.hough)
             self._last = (cropped, shown, scene)
             self._writer.write(compose(*self._last), pause or self._hold(frame.time))
 
     def _hold(self, time: float) -> float:
-        """How long the frame of a simulated time is shown, s of the video. 0 is the time of one frame."""
+        """How long the frame of a simulated time is shown, s of the video. 0 is the time of one
+        frame.
+        """
         frames = max(round(time / SPEED * FPS) + 1 - self._shown, 1)
         self._shown += frames
         return frames / FPS if frames > 1 else 0.0
@@ -101,21 +125,29 @@ class Film:
         if self._last is not None:
             truth, frame, scene = self._last
             caption = Caption(
-                (), f"{words[:1].upper()}{words[1:]}.", "The truth is on the left and the map is on the right."
+                (),
+                f"{words[:1].upper()}{words[1:]}.",
+                "The truth is on the left and the map is on the right.",
             )
             scene = replace(scene, caption=caption, is_paused=False)
             self._writer.write(compose(truth, replace(frame, events=()), scene), _LAST_FRAME)
 
 
 def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
-    """One frame of a video (HEIGHT, WIDTH, 3), RGB. The belief is drawn at the size of the truth (h, w, 3)."""
+    """One frame of a video (HEIGHT, WIDTH, 3), RGB. The belief is drawn at the size of the truth
+    (h, w, 3).
+    """
     page = blank(WIDTH, HEIGHT)
     height, width = truth.shape[:2]
     layout = layout_for(width / height, len(frame.poses))
     several = len(frame.poses) > 1
     _draw_header(page, frame.time, scene)
-    _headed(page, layout.truth, "Truth", "unknown to the robots" if several else "unknown to the robot")
-    _headed(page, layout.belief, "Belief", "one map for all robots" if several else "the robot's map")
+    _headed(
+        page, layout.truth, "Truth", "unknown to the robots" if several else "unknown to the robot"
+    )
+    _headed(
+        page, layout.belief, "Belief", "one map for all robots" if several else "the robot's map"
+    )
     _put(page, _resized(truth, layout.truth[2:]), layout.truth)
     _put(page, draw_belief(frame, layout.belief[2:], scene.window), layout.belief)
     _put(page, draw_buffers(frame.buffers, *layout.buffers[2:]), layout.buffers)
@@ -157,11 +189,14 @@ def layout_for(aspect: float, robots: int = 1) -> Layout:
     )
 
 
-def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Image, tuple[FloatArray, FloatArray]]:
-    """The part of a simulation's picture that shows the world, and the corners (2,), m, of the region that it shows.
+def cropped_truth(
+    truth: Image, low: FloatArray, high: FloatArray
+) -> tuple[Image, tuple[FloatArray, FloatArray]]:
+    """The part of a simulation's picture that shows the world, and the corners (2,), m, of the
+    region that it shows.
 
-    ``low`` and ``high`` (2,), m, are the corners of the box around all walls. The caption above the world is cut off,
-    because the video has its own.
+    ``low`` and ``high`` (2,), m, are the corners of the box around all walls. The caption above the
+    world is cut off, because the video has its own.
     """
     rows, columns = truth.shape[:2]
     extent = np.maximum(high - low, 1e-3)
@@ -169,7 +204,9 @@ def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Imag
     scale = float((most / extent).min())
     origin = np.array([0.5 * (columns - extent[0] * scale), rows - _TRUTH_MARGIN])
     # The part goes from pixel (left, top) to pixel (right, bottom), rounded outwards.
-    start = np.floor(origin - np.array([_KEPT_MARGIN, extent[1] * scale + _KEPT_MARGIN])).astype(int)
+    start = np.floor(origin - np.array([_KEPT_MARGIN, extent[1] * scale + _KEPT_MARGIN])).astype(
+        int
+    )
     end = np.ceil(origin + np.array([extent[0] * scale + _KEPT_MARGIN, _KEPT_MARGIN])).astype(int)
     left, top = np.maximum(start, 0).tolist()
     right, bottom = np.minimum(end, (columns, rows)).tolist()
@@ -178,18 +215,30 @@ def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Imag
     more = round(_ADDED_MARGIN * float(extent.max()) * scale)
     kept = truth[top:bottom, left:right]
     padded = cv2.copyMakeBorder(kept, more, more, more, more, cv2.BORDER_CONSTANT, value=PAPER)
-    return np.asarray(padded, dtype=np.uint8), (window_low - more / scale, window_high + more / scale)
+    return np.asarray(padded, dtype=np.uint8), (
+        window_low - more / scale,
+        window_high + more / scale,
+    )
 
 
 def _draw_header(page: Image, time: float, scene: Scene) -> None:
     write(page, "LimSLAM", (_GAP, 33), 21, INK, bold=True)
-    write(page, fitted(scene.title, 14, 680), (_GAP + width_of("LimSLAM", 21, bold=True) + 14, 33), 14)
+    write(
+        page, fitted(scene.title, 14, 680), (_GAP + width_of("LimSLAM", 21, bold=True) + 14, 33), 14
+    )
     right = WIDTH - _GAP
     minutes, seconds = divmod(round(time, 1), 60.0)
     write(page, f"{int(minutes)}:{seconds:04.1f}", (right, 33), 18, INK, bold=True, anchor="right")
     write(page, f"seen {100.0 * scene.coverage:.0f} %", (right - 150, 33), 14, TEXT, anchor="right")
     _bar(page, right - 142, 24, 60, scene.coverage)
-    write(page, "paused" if scene.is_paused else f"{SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
+    write(
+        page,
+        "paused" if scene.is_paused else f"{SPEED:g} x",
+        (right - 270, 33),
+        14,
+        FAINT,
+        anchor="right",
+    )
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
 
 

@@ -1,4 +1,6 @@
-"""The text of a video: captions for current events, and a short explanation of each kind of event."""
+"""The text of a video: captions for current events, and a short explanation of each kind of
+event.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,10 +12,14 @@ from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView
 SPEED = 5.0
 """How much faster the video is than the run."""
 
-_LEAST_HOLD, _HOLD = 0.7, 1.8  # s of the video before a more important caption, and before any caption, may follow
+_LEAST_HOLD, _HOLD = (
+    0.7,
+    1.8,
+)  # s of the video before a more important caption, and before any caption, may follow
 _LONGEST_LOG = 24
 _WORDS_PER_SECOND = 7.0
-# s of the video between two explanations. Without it all pauses would come in the first seconds of the run.
+# s of the video between two explanations. Without it all pauses would come in the first seconds of
+# the run.
 _BETWEEN = 4.0
 # s of the video after which the caption of an event gives way to the one of driving.
 _OUTDATED = 4.0
@@ -27,8 +33,8 @@ class Caption:
     headline: str
     explanation: str = ""
     event: Event | None = None  # The event that the caption is about, if it is about walls
-    # The votes that the caption is about. They stay in the picture as long as the caption, although newer votes may
-    # follow. None shows the latest votes.
+    # The votes that the caption is about. They stay in the picture as long as the caption, although
+    # newer votes may follow. None shows the latest votes.
     hough: HoughView | None = field(default=None, compare=False)
 
     @property
@@ -46,17 +52,21 @@ LESSONS = {
     "drive": Caption(
         (0,),
         "Predict: the wheel encoders measure the motion, with small errors.",
-        "The uncertainty grows with every metre: the ellipse and the sector hold position and heading (95 %).",
+        "The uncertainty grows with every metre: the ellipse and the sector hold position and "
+        "heading (95 %).",
     ),
     "collect": Caption(
         (1,),
         "Collect: a few beams are not enough to see a line at once.",
-        "Points on the left and on the right go into one scan buffer each, while the robot drives on.",
+        "Points on the left and on the right go into one scan buffer each, while the robot drives "
+        "on.",
     ),
     "hough": Caption(
         (2,),
-        "Find lines: each point of a full scan buffer votes for all lines through it (Hough transform).",
-        "A point gives a curve of votes. Many points lie on one line where many curves cross (rings).",
+        "Find lines: each point of a full scan buffer votes for all lines through it (Hough "
+        "transform).",
+        "A point gives a curve of votes. Many points lie on one line where many curves cross "
+        "(rings).",
     ),
     "new": Caption(
         (3, 4),
@@ -66,17 +76,20 @@ LESSONS = {
     "again": Caption(
         (3, 4),
         "Correct: this line is a known wall.",
-        "The Kalman filter corrects robot and walls by the difference between expected and observed line.",
+        "The Kalman filter corrects robot and walls by the difference between expected and "
+        "observed line.",
     ),
     "goal": Caption(
         (6,),
         "Explore: free cells next to unknown cells are the frontier.",
-        "The robot drives to the frontier of least cost, found by Dijkstra's algorithm on the grid.",
+        "The robot drives to the frontier of least cost, found by Dijkstra's algorithm on the "
+        "grid.",
     ),
     "loop": Caption(
         (5,),
         "Close the loop: two walls of the map are the same wall.",
-        "The older wall is more certain. It measures the newer one, which corrects the map and the pose.",
+        "The older wall is more certain. It measures the newer one, which corrects the map and "
+        "the pose.",
     ),
 }
 
@@ -84,7 +97,8 @@ _WEIGHTS = {"warning": 6, "loop": 5, "new": 3, "goal": 2, "hough": 1, "again": 1
 
 
 class Narrator:
-    """Chooses the captions so that they can be read, although several events happen in every second.
+    """Chooses the captions so that they can be read, although several events happen in every
+    second.
 
     Attributes
     ----------
@@ -103,25 +117,33 @@ class Narrator:
         self.log: list[tuple[float, str, str]] = []
 
     def hear(self, frame: BeliefFrame) -> list[tuple[Caption, float]]:
-        """The captions of a frame, each with the time of the video for which the picture pauses, s: explanations first,
-        and then the one with which the run continues, without a pause.
+        """The captions of a frame, each with the time of the video for which the picture pauses, s:
+        explanations first, and then the one with which the run continues, without a pause.
         """
         several, self._robots = len(frame.poses) > 1, len(frame.poses)
         happening = _happenings(frame, self._last)
         for event in frame.events:
-            self._note(frame.time, event.kind, _who(event.robot, several and event.kind != "loop") + event.words)
+            self._note(
+                frame.time,
+                event.kind,
+                _who(event.robot, several and event.kind != "loop") + event.words,
+            )
         for robot in frame.new_goals:
             self._note(frame.time, "goal", _who(robot, several) + "drives to a frontier")
         about: dict[str, Event] = {event.kind: event for event in frame.events}
         taught = self._lessons_now(frame.time, happening)
         lessons = [replace(LESSONS[kind], event=about.get(kind)) for kind in taught]
         self._last = frame
-        self._waiting |= {kind: caption for kind, caption in _captions(frame).items() if kind in happening}
+        self._waiting |= {
+            kind: caption for kind, caption in _captions(frame).items() if kind in happening
+        }
         self._choose(frame.time)
         return [*((lesson, lesson.reading_time) for lesson in lessons), (self._caption, 0.0)]
 
     def _lessons_now(self, time: float, happening: Sequence[str]) -> list[str]:
-        """The kind to explain now: one at a time, with some of the run between two. Loops are rare and do not wait."""
+        """The kind to explain now: one at a time, with some of the run between two. Loops are rare
+        and do not wait.
+        """
         new = [kind for kind in happening if kind in self._untaught]
         if (time - self._explained) / SPEED < _BETWEEN:
             new = [kind for kind in new if kind == "loop"]
@@ -142,10 +164,16 @@ class Narrator:
     def _choose(self, time: float) -> None:
         """Change the caption after it could be read, if there is another one."""
         held = (time - self._since) / SPEED
-        others = {kind: caption for kind, caption in self._waiting.items() if kind != self._said} or self._waiting
+        others = {
+            kind: caption for kind, caption in self._waiting.items() if kind != self._said
+        } or self._waiting
         best = max(others, key=_WEIGHTS.__getitem__, default=None)
         if held > _OUTDATED and (best is None or best == self._said != "drive"):
-            self._said, self._caption, self._since = "drive", _captions_of_driving(self._robots), time
+            self._said, self._caption, self._since = (
+                "drive",
+                _captions_of_driving(self._robots),
+                time,
+            )
             self._waiting = {}
             return
         if best is None or held < _LEAST_HOLD:
@@ -160,14 +188,17 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
     """Kinds of the events since the last frame, in the order of the method."""
     if last is None:
         return ["start"]
-    is_extracted = frame.hough is not None and len(frame.hough.peaks) and frame.hough is not last.hough
+    is_extracted = (
+        frame.hough is not None and len(frame.hough.peaks) and frame.hough is not last.hough
+    )
     is_collected = any(2 * len(buffer.points) >= buffer.enough for buffer in frame.buffers)
     kinds = {event.kind for event in frame.events}
     found = {
         "goal": bool(frame.new_goals) and last.time > 0.0,
         "drive": (np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any(),
         "collect": is_collected,
-        "hough": is_extracted and (last.hough is None or frame.hough is None or frame.hough.time > last.hough.time),
+        "hough": is_extracted
+        and (last.hough is None or frame.hough is None or frame.hough.time > last.hough.time),
         "new": "new" in kinds,
         "again": "again" in kinds,
         "loop": "loop" in kinds,
@@ -182,51 +213,63 @@ def _captions(frame: BeliefFrame) -> dict[str, Caption]:
     said = {"drive": _captions_of_driving(len(frame.poses))}
     for robot in frame.new_goals:
         said["goal"] = Caption(
-            (6,), f"Explore{_whose(robot, several)}: a new goal at a frontier.",
+            (6,),
+            f"Explore{_whose(robot, several)}: a new goal at a frontier.",
             "Of all frontiers, this frontier has the least cost.",
-        )  # fmt: skip
+        )
     if frame.hough is not None:
         hough, count = frame.hough, len(frame.hough.peaks)
         whose = f"robot {hough.robot + 1}'s {hough.side}" if several else f"the {hough.side}"
         lines = "1 line has" if count == 1 else f"{count} lines have"
         said["hough"] = Caption(
-            (2,), f"Find lines: {whose} buffer was full, and {lines} enough votes.",
-            f"Its {len(hough.points)} points voted. Each ring is a line: a corner gives two. The buffer fills again.",
+            (2,),
+            f"Find lines: {whose} buffer was full, and {lines} enough votes.",
+            f"Its {len(hough.points)} points voted. Each ring is a line: a corner gives two. The "
+            "buffer fills again.",
             hough=hough,
-        )  # fmt: skip
+        )
     if frame.warning:
         said["warning"] = Caption(
-            (4,), f"The estimate is {frame.warning}.",
-            "Many readings that contradict the map, or an uncertain heading, show that the pose may be wrong.",
-        )  # fmt: skip
+            (4,),
+            f"The estimate is {frame.warning}.",
+            "Many readings that contradict the map, or an uncertain heading, show that the pose "
+            "may be wrong.",
+        )
     for event in frame.events:
-        said[event.kind] = replace(_caption_of(event, _whose(event.robot, several)), hough=frame.hough)
+        said[event.kind] = replace(
+            _caption_of(event, _whose(event.robot, several)), hough=frame.hough
+        )
     return said
 
 
 def _captions_of_driving(robots: int) -> Caption:
     robots_drive = "the robots drive" if robots > 1 else "the robot drives"
     return Caption(
-        (0, 1), f"Predict and collect: {robots_drive}, uncertainty grows, scan buffers fill.",
-        "Wheel travel moves the estimate. Each side beam that hits something adds a point to its buffer.",
-    )  # fmt: skip
+        (0, 1),
+        f"Predict and collect: {robots_drive}, uncertainty grows, scan buffers fill.",
+        "Wheel travel moves the estimate. Each side beam that hits something adds a point to its "
+        "buffer.",
+    )
 
 
 def _caption_of(event: Event, whose: str) -> Caption:
     words = {
         "loop": (
-            (5,), f"Close the loop: wall {event.wall} is the older wall {event.other}.",
+            (5,),
+            f"Close the loop: wall {event.wall} is the older wall {event.other}.",
             "The loop closure corrects the pose and all walls at once.",
         ),
         "new": (
-            (3, 4), f"Add{whose}: a line that fits no known wall becomes wall {event.wall}.",
+            (3, 4),
+            f"Add{whose}: a line that fits no known wall becomes wall {event.wall}.",
             "The wall enters the state of the filter, with its covariances.",
         ),
         "again": (
-            (3, 4), f"Associate and correct{whose}: this line is wall {event.wall}, seen again.",
+            (3, 4),
+            f"Associate and correct{whose}: this line is wall {event.wall}, seen again.",
             "The difference between expected and observed line corrects the robot and all walls.",
         ),
-    }  # fmt: skip
+    }
     return Caption(*words[event.kind], event)
 
 

@@ -1,4 +1,6 @@
-"""Atomic writing of video files: H.264 in .mp4, and .gif. A file is either complete or does not exist."""
+"""Atomic writing of video files: H.264 in .mp4, and .gif. A file is either complete or does not
+exist.
+"""
 
 import importlib
 import subprocess
@@ -29,7 +31,9 @@ class VideoError(ValueError):
 
 
 @contextmanager
-def video_file(path: str | Path, fps: float, size: tuple[int, int], *, force: bool = False) -> "Iterator[VideoWriter]":
+def video_file(
+    path: str | Path, fps: float, size: tuple[int, int], *, force: bool = False
+) -> "Iterator[VideoWriter]":
     """Write a video file, which appears only when the context ends without an error.
 
     Parameters
@@ -56,7 +60,9 @@ def video_file(path: str | Path, fps: float, size: tuple[int, int], *, force: bo
     check_target(target, "a video", SUFFIXES, force=force)
     program = _ffmpeg() if target.suffix.lower() == ".mp4" else None
     with atomic_write(target) as beside:
-        writer: VideoWriter = _Mp4(target, fps, beside, program, size) if program else _Gif(target, fps, beside)
+        writer: VideoWriter = (
+            _Mp4(target, fps, beside, program, size) if program else _Gif(target, fps, beside)
+        )
         try:
             yield writer
             writer.finish()
@@ -67,36 +73,76 @@ def video_file(path: str | Path, fps: float, size: tuple[int, int], *, force: bo
 class _Mp4:
     """Sends frames to ffmpeg through a pipe."""
 
-    def __init__(self, path: Path, fps: float, beside: Path, program: str, size: tuple[int, int]) -> None:
+    def __init__(
+        self, path: Path, fps: float, beside: Path, program: str, size: tuple[int, int]
+    ) -> None:
         self._path, self._fps = path, fps
         # Error messages go to a file, because a pipe without a reader would fill up and block.
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
         command = [
-            program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{size[0]}x{size[1]}",
-            "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", "20",
-            "-colorspace", "smpte170m", "-color_primaries", "smpte170m", "-color_trc", "smpte170m",
-            "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(beside),
-        ]  # fmt: skip
+            program,
+            "-y",
+            "-loglevel",
+            "error",
+            "-f",
+            "rawvideo",
+            "-pix_fmt",
+            "yuv420p",
+            "-s",
+            f"{size[0]}x{size[1]}",
+            "-r",
+            f"{fps:g}",
+            "-i",
+            "-",
+            "-an",
+            "-c:v",
+            "libx264",
+            "-preset",
+            "veryfast",
+            "-crf",
+            "20",
+            "-colorspace",
+            "smpte170m",
+            "-color_primaries",
+            "smpte170m",
+            "-color_trc",
+            "smpte170m",
+            "-pix_fmt",
+            "yuv420p",
+            "-movflags",
+            "+faststart",
+            str(beside),
+        ]
         # A separate session keeps a keyboard interrupt away from ffmpeg. This class ends ffmpeg.
         self._process = subprocess.Popen(  # noqa: S603 (the program is imageio-ffmpeg's)
-            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self._errors,
+            start_new_session=True,
         )
 
     def write(self, image: Image, hold: float = 0.0) -> None:
-        """Add a frame (height, width, 3), RGB, that is shown for ``hold`` s, and at least for the time of one frame."""
+        """Add a frame (height, width, 3), RGB, that is shown for ``hold`` s, and at least for the
+        time of one frame.
+        """
         # This format has half as many bytes as RGB, and a held frame is converted only once.
         pixels = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).data
         try:
             for _ in range(max(round(hold * self._fps), 1)):
                 _pipe(self._process).write(pixels)
         except OSError as error:
-            raise VideoError(f"{self._path}: cannot be written: {self._last_error() or error}") from error
+            raise VideoError(
+                f"{self._path}: cannot be written: {self._last_error() or error}"
+            ) from error
 
     def finish(self) -> None:
         """Complete the file."""
         _pipe(self._process).close()
         if self._process.wait():
-            raise VideoError(f"{self._path}: cannot be written: {self._last_error() or 'ffmpeg failed'}")
+            raise VideoError(
+                f"{self._path}: cannot be written: {self._last_error() or 'ffmpeg failed'}"
+            )
 
     def abandon(self) -> None:
         """Free all resources."""
@@ -126,8 +172,8 @@ class _Gif:
         self._owed = 0.0
 
     def write(self, image: Image, hold: float = 0.0) -> None:
-        """Take a frame (height, width, 3), RGB, unless the last has to be shown longer. The speed of the video stays
-        the same.
+        """Take a frame (height, width, 3), RGB, unless the last has to be shown longer. The speed
+        of the video stays the same.
         """
         time = max(hold, self._frame_time)
         if self._frames and self._owed + time < self._step - 1e-9:
@@ -160,11 +206,20 @@ class _Gif:
         if not self._frames:
             raise VideoError(f"{self._path}: there are no frames")
         palette = self._palette()
-        frames = (frame.quantize(palette=palette, dither=Pictures.Dither.NONE) for frame in self._pictures())
+        frames = (
+            frame.quantize(palette=palette, dither=Pictures.Dither.NONE)
+            for frame in self._pictures()
+        )
         # The unit of time in a GIF is 1/100 s.
         times = [10 * round(100.0 * time) for _, time in self._frames]
         next(frames).save(
-            self._beside, format="GIF", save_all=True, append_images=frames, duration=times, loop=0, optimize=False
+            self._beside,
+            format="GIF",
+            save_all=True,
+            append_images=frames,
+            duration=times,
+            loop=0,
+            optimize=False,
         )
 
     def abandon(self) -> None:
@@ -182,8 +237,15 @@ class _Gif:
         samples = self._frames[::every]
         sheet = Pictures.new("RGB", (width, height * len(samples)))
         for number, (data, _) in enumerate(samples):
-            sheet.paste(Pictures.frombytes("RGB", self._size, zlib.decompress(data)), (0, number * height))
-        found = sheet.quantize(_GIF_COLOURS - len(PALETTE), method=Pictures.Quantize.MEDIANCUT).getpalette() or []
+            sheet.paste(
+                Pictures.frombytes("RGB", self._size, zlib.decompress(data)), (0, number * height)
+            )
+        found = (
+            sheet.quantize(
+                _GIF_COLOURS - len(PALETTE), method=Pictures.Quantize.MEDIANCUT
+            ).getpalette()
+            or []
+        )
         # Thin lines and rings have few pixels. Without fixed colours they would lose their colours.
         palette = Pictures.new("P", (1, 1))
         palette.putpalette([*(part for colour in PALETTE for part in colour), *found])

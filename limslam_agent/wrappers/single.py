@@ -1,4 +1,6 @@
-"""A wrapper for learning agents: the observation is what the SLAM believes instead of raw readings."""
+"""A wrapper for learning agents: the observation is what the SLAM believes instead of raw
+readings.
+"""
 
 from collections.abc import Sequence
 from typing import Any, SupportsFloat, TypeAlias
@@ -32,8 +34,11 @@ _UPPER = np.triu_indices(3)
 _FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
 
 
-class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils.RecordConstructorArgs):
-    """Observe what the SLAM believes instead of raw readings. The start pose is the only truth that the SLAM gets.
+class SlamObservation(
+    gym.Wrapper[Observation, Any, Observation, Any], gym.utils.RecordConstructorArgs
+):
+    """Observe what the SLAM believes instead of raw readings. The start pose is the only truth that
+    the SLAM gets.
 
     The observation is a `Dict` of new arrays:
 
@@ -44,19 +49,21 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
     | grid       | (1, size, size) | uint8   | believed occupancy around the robot: 0 unknown, 127 free, 255 occupied |
     | ranges     | (n_beams,)      | float32 | the readings, m                                                       |
 
-    The robot is in the middle of the grid, and its heading points up. The configuration sets the size of a cell, which
-    is 0.10 m by default.
+    The robot is in the middle of the grid, and its heading points up. The configuration sets the
+    size of a cell, which is 0.10 m by default.
 
-    `info` gets two more keys: `status` says whether the estimate can be trusted (`"ok"`, `"unsure"` or `"lost"`), and
-    `status_reason` says in words why it cannot. The covariance grows while the robot is lost.
+    `info` gets two more keys: `status` says whether the estimate can be trusted (`"ok"`, `"unsure"`
+    or `"lost"`), and `status_reason` says in words why it cannot. The covariance grows while the
+    robot is lost.
 
     Parameters
     ----------
     env
         A LimSlam environment for one robot whose observation holds unscaled `ranges` and `wheels`.
     agent_config
-        Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph` with the nominal noise
-        of the environment (its ``nominal_noise``): the data sheets of the robot are no secret.
+        Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph`
+        with the nominal noise of the environment (its ``nominal_noise``): the data sheets of the
+        robot are no secret.
     size
         Side of the grid in cells.
 
@@ -66,8 +73,14 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
         If the size is below 1, the environment has no `robot`, or its observation has another form.
     """
 
-    def __init__(self, env: gym.Env[Observation, Any], agent_config: AgentConfig | None = None, size: int = 40) -> None:
-        # With its arguments in the environment's spec, Gymnasium and Minari can make the wrapped environment again.
+    def __init__(
+        self,
+        env: gym.Env[Observation, Any],
+        agent_config: AgentConfig | None = None,
+        size: int = 40,
+    ) -> None:
+        # With its arguments in the environment's spec, Gymnasium and Minari can make the wrapped
+        # environment again.
         gym.utils.RecordConstructorArgs.__init__(self, agent_config=agent_config, size=size)
         super().__init__(env)
         if size < 1:
@@ -76,12 +89,16 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
         if not isinstance(robot, RobotSpec):
             raise ValueError(f"{env.unwrapped} has no LimSLAM robot")  # noqa: TRY004 (a wrong value)
         ranges = ranges_space(env.observation_space, robot)
-        self._mapper = Mapper(robot, agent_config or default_config([getattr(env.unwrapped, "nominal_noise", None)]))
+        self._mapper = Mapper(
+            robot, agent_config or default_config([getattr(env.unwrapped, "nominal_noise", None)])
+        )
         self._start = np.zeros(3)
         self.observation_space = belief_space(ranges, size)
         self._size = size
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Any]:
         """Start a new episode with an empty map. Of `info`, only the start pose is used."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._start = np.array(info["pose"], dtype=float)
@@ -109,13 +126,17 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
 
 
 def default_config(noises: Sequence[NominalNoise | None]) -> AgentConfig:
-    """The default preset for environments with these nominal noises. None means that a noise is unknown."""
+    """The default preset for environments with these nominal noises. None means that a noise is
+    unknown.
+    """
     known = [noise for noise in noises if noise is not None]
     return preset(DEFAULT_PRESET, largest_noise(known) if known else None)
 
 
 def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
-    """The observation space, with the readings' space ``ranges`` and a grid of ``size`` cells a side."""
+    """The observation space, with the readings' space ``ranges`` and a grid of ``size`` cells a
+    side.
+    """
     return spaces.Dict(
         {
             "pose": spaces.Box(-_FARTHEST, _FARTHEST),
@@ -126,7 +147,9 @@ def belief_space(ranges: spaces.Box, size: int) -> spaces.Dict:
     )
 
 
-def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], size: int) -> Observation:
+def observed_belief(
+    belief: Belief, start: FloatArray, ranges: NDArray[Any], size: int
+) -> Observation:
     """The observation of one robot, in new arrays.
 
     Parameters
@@ -149,7 +172,9 @@ def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], siz
 
 
 def crop(grid: GridView, pose: FloatArray, size: int) -> NDArray[np.uint8]:
-    """The grid (size, size) around a robot at ``pose`` (3,), m and rad, which is in the middle and looks up."""
+    """The grid (size, size) around a robot at ``pose`` (3,), m and rad, which is in the middle and
+    looks up.
+    """
     (rows, columns), (cos, sin) = grid.values.shape, (np.cos(pose[2]), np.sin(pose[2]))
     away = (0.5 * (size - 1) - np.arange(size)) * grid.cell
     ahead, left, (x, y) = away[:, None], away[None], pose[:2] - grid.low
@@ -166,7 +191,9 @@ def observed_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:
 
 
 def observed_covariance(covariance: FloatArray) -> NDArray[np.float32]:
-    """The upper triangle (..., 6) of a covariance (..., 3, 3), clipped to the bounds of the space."""
+    """The upper triangle (..., 6) of a covariance (..., 3, 3), clipped to the bounds of the
+    space.
+    """
     upper = covariance[..., *_UPPER]
     return np.clip(upper, -LARGEST_COVARIANCE, LARGEST_COVARIANCE).astype(np.float32)
 
@@ -182,6 +209,8 @@ def ranges_space(space: gym.Space[Any], robot: RobotSpec) -> spaces.Box:
     if not isinstance(space, spaces.Dict) or not {"ranges", "wheels"} <= set(space.spaces):
         raise ValueError(f"the observation must hold ranges and wheels, not {space}")
     ranges = space["ranges"]
-    if not isinstance(ranges, spaces.Box) or not np.array_equal(ranges.high, robot.max_ranges.astype(np.float32)):
+    if not isinstance(ranges, spaces.Box) or not np.array_equal(
+        ranges.high, robot.max_ranges.astype(np.float32)
+    ):
         raise ValueError(f"ranges must be those of the robot, in metres, not {ranges}")
     return ranges

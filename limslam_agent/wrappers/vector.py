@@ -23,19 +23,22 @@ from limslam_env.interface import RobotSpec
 
 
 class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unused-ignore]
-    """Observe what n robots believe instead of raw readings. The start poses are the only truth that the SLAM gets.
+    """Observe what n robots believe instead of raw readings. The start poses are the only truth
+    that the SLAM gets.
 
-    The observation has the keys of ``SlamObservation``, each with n rows, in new arrays. A belief is reset whenever its
-    episode starts, for all autoreset modes. ``final_obs`` in ``info`` holds beliefs, too. Only ``SlamObservation``
-    adds a status to ``info``.
+    The observation has the keys of ``SlamObservation``, each with n rows, in new arrays. A belief
+    is reset whenever its episode starts, for all autoreset modes. ``final_obs`` in ``info`` holds
+    beliefs, too. Only ``SlamObservation`` adds a status to ``info``.
 
     Parameters
     ----------
     env
-        A vector of LimSlam environments for one robot each, whose observation holds unscaled `ranges` and `wheels`.
+        A vector of LimSlam environments for one robot each, whose observation holds unscaled
+        `ranges` and `wheels`.
     agent_config
-        Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph` with the nominal noise
-        of the environments (their ``nominal_noise``), the largest where they differ.
+        Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph`
+        with the nominal noise of the environments (their ``nominal_noise``), the largest where they
+        differ.
     size
         Side of the grid in cells.
     capacity
@@ -46,8 +49,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     Raises
     ------
     ValueError
-        If the size is below 1, the environments are on a GPU, one of them has no `robot`, its observation has another
-        form, or the estimator is not the consistent one.
+        If the size is below 1, the environments are on a GPU, one of them has no `robot`, its
+        observation has another form, or the estimator is not the consistent one.
     """
 
     def __init__(
@@ -62,7 +65,9 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         if size < 1:
             raise ValueError(f"a grid needs at least one cell, not {size}")
         if hasattr(env.unwrapped, "to_device"):
-            raise ValueError("beliefs are computed by the processor: make the environments without device='cuda'")
+            raise ValueError(
+                "beliefs are computed by the processor: make the environments without device='cuda'"
+            )
         robot = _robot_of(env)
         ranges = ranges_space(env.single_observation_space, robot)
         self._spaces = dict(env.single_observation_space.items())  # type: ignore[attr-defined]
@@ -77,7 +82,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start new episodes with empty maps. With a ``reset_mask`` among the options, only where the mask is true.
+        """Start new episodes with empty maps. With a ``reset_mask`` among the options, only where
+        the mask is true.
 
         Raises
         ------
@@ -85,7 +91,9 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
             If the options are not a dictionary, or the environment refuses them.
         """
         if not (options is None or isinstance(options, dict)):
-            raise ValueError(f"reset options are a dictionary, not {' '.join(repr(options).split()):.60}")
+            raise ValueError(
+                f"reset options are a dictionary, not {' '.join(repr(options).split()):.60}"
+            )
         mask = None if options is None else options.get("reset_mask")
         # The mask is read first, because gymnasium's environments remove it from the options.
         mask = np.ones(self.num_envs, dtype=bool) if mask is None else np.array(mask)
@@ -123,7 +131,9 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
             self.slam.reset(self._starts, begun)
 
     def _observe_final(self, info: dict[str, Any], ended: BoolArray) -> None:
-        """Update the beliefs with the last observations of episodes, and put them into ``final_obs``."""
+        """Update the beliefs with the last observations of episodes, and put them into
+        ``final_obs``.
+        """
         last, places = info["final_obs"], np.flatnonzero(ended)
         seen = {key: np.zeros((self.num_envs, *box.shape)) for key, box in self._spaces.items()}
         for key, rows in seen.items():

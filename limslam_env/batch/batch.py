@@ -11,7 +11,16 @@ from limslam_env.config import NoiseConfig, TaskConfig, bounds_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import MOST_LANES
-from limslam_env.kernels.batch_state import Episodes, Results, Robots, Settings, Task, fan_of, lanes_for, scratch_for
+from limslam_env.kernels.batch_state import (
+    Episodes,
+    Results,
+    Robots,
+    Settings,
+    Task,
+    fan_of,
+    lanes_for,
+    scratch_for,
+)
 from limslam_env.kernels.batch_step import BEGIN, SKIP, STEP, advance
 from limslam_env.kernels.coverage import BODY_MARGIN, LONGEST_LOOK, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
@@ -28,12 +37,24 @@ THREADS_FROM = 1024
 # Environments that a thread takes at once.
 _PORTION = 512
 
-# The setting that each column of the table of noise depends on. The limit of the encoders, column 10, depends on none.
+# The setting that each column of the table of noise depends on. The limit of the encoders, column
+# 10, depends on none.
 _SETTINGS = (
-    "sensor_noise", "range_noise_growth", "dropout", "range_resolution", "fold_back", "cone",
-    "wheel_mismatch", "wheel_mismatch", "wheel_variance", "encoder_resolution", "encoder_resolution",
-    "slip_rate", "slip_share", "axle_mismatch",
-)  # fmt: skip
+    "sensor_noise",
+    "range_noise_growth",
+    "dropout",
+    "range_resolution",
+    "fold_back",
+    "cone",
+    "wheel_mismatch",
+    "wheel_mismatch",
+    "wheel_variance",
+    "encoder_resolution",
+    "encoder_resolution",
+    "slip_rate",
+    "slip_share",
+    "axle_mismatch",
+)
 
 NOISE, PLACES = 1, 2
 """Purposes of random numbers, besides those of the steps, 0."""
@@ -51,7 +72,8 @@ class BatchSimulation:
     task, max_steps
         What steps are worth, and when episodes end; None for no largest number of steps.
     num_threads
-        How many threads to use at most; None for one a core. The result is the same to the last bit.
+        How many threads to use at most; None for one a core. The result is the same to the last
+        bit.
     """
 
     def __init__(
@@ -68,13 +90,18 @@ class BatchSimulation:
         self._places, self._settings = places, noise_settings(noise, robot)
         beams = beam_table(robot)
         longest = max(float((beams[:, OFFSET] + beams[:, LONGEST_RANGE]).max()), 2.0 * robot.radius)
-        is_small = longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
+        is_small = (
+            longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
+        )
         period, fan = robot.control_period, fan_of(beams, robot.radius - BODY_MARGIN)
-        self._robots = Robots(robot.max_wheel_speed * period, robot.radius, period, beams, fan, is_small)
+        self._robots = Robots(
+            robot.max_wheel_speed * period, robot.radius, period, beams, fan, is_small
+        )
         self._task = _as_numbers(task, max_steps)
         self._homes: Words = np.zeros(count, dtype=np.uint64)
         self._numbers = np.zeros(count, dtype=np.int64)
-        # A seed changes the two above for all environments, but the places of only those that begin an episode.
+        # A seed changes the two above for all environments, but the places of only those that begin
+        # an episode.
         self._place_keys: Words = np.zeros(count, dtype=np.uint64)
         self._episodes = _no_episodes(places.world_of, robots, num_beams)
         self._scratch = scratch_for(robots, num_beams)
@@ -82,7 +109,10 @@ class BatchSimulation:
         self._pool: ThreadPoolExecutor | None = None
 
     def reset(
-        self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
+        self,
+        mask: BoolArray,
+        start: FloatArray | None = None,
+        seeds: np.random.SeedSequence | None = None,
     ) -> Results:
         """Begin new episodes, as :meth:`begin` does, and observe them."""
         self.begin(mask, start, seeds)
@@ -90,12 +120,16 @@ class BatchSimulation:
         return self._advance(tasks, np.zeros((self.num_envs, self.num_robots, 2)))
 
     def begin(
-        self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
+        self,
+        mask: BoolArray,
+        start: FloatArray | None = None,
+        seeds: np.random.SeedSequence | None = None,
     ) -> None:
-        """Draw world, start and noise of new episodes where a mask (n,) is true; a later step observes them.
+        """Draw world, start and noise of new episodes where a mask (n,) is true; a later step
+        observes them.
 
-        ``start`` (n, s, 3) are the first robots' poses. From ``seeds`` all sequences of random numbers begin anew,
-        those of other environments, too.
+        ``start`` (n, s, 3) are the first robots' poses. From ``seeds`` all sequences of random
+        numbers begin anew, those of other environments, too.
 
         Raises
         ------
@@ -106,11 +140,18 @@ class BatchSimulation:
         homes: Words = self._homes
         numbers = self._numbers.copy()
         if seeds is not None:
-            homes, numbers = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64), 0 * numbers
+            homes, numbers = (
+                np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64),
+                0 * numbers,
+            )
         numbers[envs] += 1
-        keys, settings, places = (derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, NOISE, PLACES))
+        keys, settings, places = (
+            derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, NOISE, PLACES)
+        )
         episodes = self._episodes
-        episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
+        episodes.poses[envs] = self._places.begin(
+            envs, places, None if start is None else start[envs]
+        )
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
         self._place_keys[envs] = places
         noise = np.empty((len(envs), NUM_NOISES))
@@ -122,9 +163,11 @@ class BatchSimulation:
             self._episodes = episodes._replace(unseen=_padded(episodes.unseen, width))
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> Results:
-        """Drive for one control period with left and right wheel speeds (n, m, 2), fractions of the maximum.
+        """Drive for one control period with left and right wheel speeds (n, m, 2), fractions of the
+        maximum.
 
-        ``fresh`` (n,) are the environments with a new episode that is to be observed first; they are not driven.
+        ``fresh`` (n,) are the environments with a new episode that is to be observed first; they
+        are not driven.
         """
         tasks = np.full(self.num_envs, STEP) if fresh is None else np.where(fresh, BEGIN, STEP)
         return self._advance(tasks, actions)
@@ -162,7 +205,15 @@ class BatchSimulation:
     def _advance(self, tasks: IntArray, actions: FloatArray) -> Results:
         results = no_results(self.num_envs, self.num_robots, len(self.robot.beams))
         begun, worlds = np.zeros(1, dtype=np.int64), self._places.sites.worlds
-        shared: tuple[Any, ...] = tasks, actions, self._robots, worlds, self._episodes, self._task, results
+        shared: tuple[Any, ...] = (
+            tasks,
+            actions,
+            self._robots,
+            worlds,
+            self._episodes,
+            self._task,
+            results,
+        )
         others: list[Future[None]] = []
         if self._threads > 1 and self.num_envs * self.num_robots >= THREADS_FROM:
             self._pool = self._pool or ThreadPoolExecutor(self._threads - 1)
@@ -181,7 +232,8 @@ def noise_settings(noise: NoiseConfig, robot: RobotSpec) -> Settings:
     """The noise of a configuration as kernels draw it."""
     names = list(vars(noise))
     lowest, highest = (
-        noise_table({name: bounds_of(setting)[end] for name, setting in vars(noise).items()}, robot) for end in (0, 1)
+        noise_table({name: bounds_of(setting)[end] for name, setting in vars(noise).items()}, robot)
+        for end in (0, 1)
     )
     return Settings(lowest, highest - lowest, np.array([names.index(name) for name in _SETTINGS]))
 
@@ -195,7 +247,9 @@ def _as_numbers(task: TaskConfig, max_steps: int | None) -> Task:
 
 
 def _no_episodes(world_of: IntArray, num_robots: int, num_beams: int) -> Episodes:
-    """Arrays for the episodes of all environments, before the first reset; ``world_of`` (n,) is shared."""
+    """Arrays for the episodes of all environments, before the first reset; ``world_of`` (n,) is
+    shared.
+    """
     count = len(world_of)
     return Episodes(
         world_of=world_of,
@@ -232,7 +286,9 @@ def no_results(count: int, num_robots: int, num_beams: int) -> Results:
 
 
 def _padded(words: Words, columns: int) -> Words:
-    """Words (rows, k) with zeros up to so many columns; a kernel may read a little beyond, for words that it masks."""
+    """Words (rows, k) with zeros up to so many columns; a kernel may read a little beyond, for
+    words that it masks.
+    """
     rows, used = words.shape
     buffer = np.zeros(rows * columns + 3 * columns + 3, dtype=np.uint64)
     padded = buffer[: rows * columns].reshape(rows, columns)

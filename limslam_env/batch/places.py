@@ -36,8 +36,8 @@ class Places:
     robot, num_robots, num_envs
         The robots' specification, and their number in each of so many environments.
     plans
-        Seeds of the floor plans that are made beforehand; an environment gets one of them at each reset. None draws
-        every environment a plan of its own at each reset.
+        Seeds of the floor plans that are made beforehand; an environment gets one of them at each
+        reset. None draws every environment a plan of its own at each reset.
     num_threads
         How many threads prepare floor plans; None for one a core.
 
@@ -69,9 +69,16 @@ class Places:
             source.check(robot.radius)
             if plans is not None:
                 self._seeds = list(dict.fromkeys(plans))
-                announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")
+                announce(
+                    f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each"
+                )
                 with ThreadPoolExecutor(self._threads) as pool:
-                    self._keep(pool.map(lambda seed: prepare(self._plan(source, seed), robot, num_robots), self._seeds))
+                    self._keep(
+                        pool.map(
+                            lambda seed: prepare(self._plan(source, seed), robot, num_robots),
+                            self._seeds,
+                        )
+                    )
         else:
             worlds = [source] if isinstance(source, World) else list(source)
             numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
@@ -85,7 +92,9 @@ class Places:
 
     @property
     def num_plans(self) -> int | None:
-        """How many floor plans there are to draw from at each reset; 0 without any, None if there is no end of them."""
+        """How many floor plans there are to draw from at each reset; 0 without any, None if there
+        is no end of them.
+        """
         return 0 if self._config is None else len(self._seeds) or None
 
     def starts(self) -> Starts:
@@ -105,7 +114,8 @@ class Places:
         )
 
     def begin(self, envs: IntArray, keys: Words, start: FloatArray | None) -> FloatArray:
-        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad, by random ``keys`` (k,).
+        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad, by
+        random ``keys`` (k,).
 
         ``start`` (k, s, 3) are poses of the first robots.
 
@@ -121,7 +131,9 @@ class Places:
         moves: list[tuple[IntArray, int, Site]] = []
         for slot, rows in _groups(slots):
             if start is None:
-                poses[rows] = self._started(self._starts[slot], keys[rows], None, partial(self._world, slot))
+                poses[rows] = self._started(
+                    self._starts[slot], keys[rows], None, partial(self._world, slot)
+                )
             else:
                 moves += self._start_at(rows, slot, start[rows], keys[rows], poses)
         # No error may be raised from here on, and nothing above changes this object.
@@ -131,7 +143,9 @@ class Places:
         return poses
 
     def world(self, env: int, key: Words) -> World:
-        """The world that :meth:`begin` gave an environment by a key (1,). Floor plans are drawn again."""
+        """The world that :meth:`begin` gave an environment by a key (1,). Floor plans are drawn
+        again.
+        """
         if self._config is not None and not self._seeds:
             return self._plan(self._config, int(key[0]))
         return self._world(int(self._slots(np.array([env]), key)[0]))
@@ -152,7 +166,9 @@ class Places:
             self.sites.put(len(self.sites), site)
 
     def _world(self, slot: int) -> World:
-        """The world of a slot. Floor plans are drawn again, because thousands of them would be much memory."""
+        """The world of a slot. Floor plans are drawn again, because thousands of them would be much
+        memory.
+        """
         if self._config is None:
             return self._worlds[slot]
         return self._plan(self._config, self._seeds[slot])
@@ -164,7 +180,9 @@ class Places:
 
         def begun(row: int) -> tuple[Site, FloatArray]:
             world = self._plan(config, int(keys[row]))
-            site = prepare(world, self._robot, self.num_robots, None if start is None else start[row])
+            site = prepare(
+                world, self._robot, self.num_robots, None if start is None else start[row]
+            )
             poses = self._started(site.starts, keys[row : row + 1], None, lambda: world)
             # The places to start are most of a site, and not needed any more.
             return replace(site, starts=_NO_STARTS), poses
@@ -182,32 +200,44 @@ class Places:
     def _started(
         self, starts: StartCells, keys: Words, known: FloatArray | None, world: Callable[[], World]
     ) -> FloatArray:
-        """Poses (k, m, 3) for environments of these keys: ``known`` (k, g, 3) or the given ones, then drawn ones."""
+        """Poses (k, m, 3) for environments of these keys: ``known`` (k, g, 3) or the given ones,
+        then drawn ones.
+        """
         robot = self._robot
         poses = np.zeros((len(keys), self.num_robots, 3))
         given = starts.given if known is None else known
         count = given.shape[-2]
         poses[:, :count] = given
         apart = least_distance(robot)
-        if not draw_starts(keys, count, starts.runs, starts.count, starts.space, apart, poses, TRIES):
+        if not draw_starts(
+            keys, count, starts.runs, starts.count, starts.space, apart, poses, TRIES
+        ):
             raise no_room(world(), self.num_robots)
         return poses
 
     def _start_at(
         self, rows: IntArray, slot: int, start: FloatArray, keys: Words, poses: FloatArray
     ) -> list[tuple[IntArray, int, Site]]:
-        """Start environments that share a world at poses of their own; what can be seen from there may differ.
+        """Start environments that share a world at poses of their own; what can be seen from there
+        may differ.
 
         Returns rows of environments, the slot of their world, and the site that suits their poses.
         """
         world = self._world(slot)
         known, counts = known_poses(world, self._robot, self.num_robots, start)
-        labels = world.free_space(self._robot.radius).labels_of(known[..., :2].reshape(-1, 2)).reshape(counts.size, -1)
+        labels = (
+            world.free_space(self._robot.radius)
+            .labels_of(known[..., :2].reshape(-1, 2))
+            .reshape(counts.size, -1)
+        )
         is_known = np.arange(self.num_robots) < counts[:, None]
         labels = np.where(is_known, labels, -1)
-        # A robot may stand where the grid of free space is too coarse to hold it. Then its place counts, too.
+        # A robot may stand where the grid of free space is too coarse to hold it. Then its place
+        # counts, too.
         alone = np.where((labels == 0).any(axis=1), np.arange(1, len(start) + 1), 0)
-        _, kind_of = np.unique(np.column_stack((alone, counts, labels)), axis=0, return_inverse=True)
+        _, kind_of = np.unique(
+            np.column_stack((alone, counts, labels)), axis=0, return_inverse=True
+        )
         moves = []
         for _, mine in _groups(kind_of.ravel()):
             site = prepare(world, self._robot, self.num_robots, start[mine[0]])

@@ -27,14 +27,16 @@ _NOWHERE = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class StartCells:
-    """Where robots start: the known poses, and for the other robots the cells of a region, row by row.
+    """Where robots start: the known poses, and for the other robots the cells of a region, row by
+    row.
 
     Attributes
     ----------
     given
         Poses (g, 3) of the first robots, m and rad.
     runs, count
-        (r, 2): the number of the first of some cells side by side, and how many cells come before it; and of all.
+        (r, 2): the number of the first of some cells side by side, and how many cells come before
+        it; and of all.
     space
         (4,): lower left corner x, y and side of the cells, m, and columns.
     """
@@ -47,14 +49,16 @@ class StartCells:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A world prepared for a batch: its sorted walls, the cells that count for coverage, and its starting places.
+    """A world prepared for a batch: its sorted walls, the cells that count for coverage, and its
+    starting places.
 
     Attributes
     ----------
     walls, reach, starts
         For rays and contact; farthest that robots see, m; and where they start.
     area, shape, tiles
-        Lower left corner and cell side (3,), m, of the coverage grid, its rows and columns, and its coverable cells as
+        Lower left corner and cell side (3,), m, of the coverage grid, its rows and columns, and its
+        coverable cells as
         :func:`to_tiles` makes them.
     """
 
@@ -67,16 +71,25 @@ class Site:
 
     @property
     def near(self) -> tuple[IntArray, IntArray] | None:
-        """The walls within the beams' reach of each cell of their list; None where these are too many."""
-        # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
+        """The walls within the beams' reach of each cell of their list; None where these are too
+        many.
+        """
+        # Sensors that see far across a building: going from cell to cell is faster, and such lists
+        # would be long.
         corners, count = self.walls.edges.reshape(-1, 2), len(self.walls.edges)
-        share = min(1.0, (2.0 * self.reach) ** 2 / max(float(np.prod(np.ptp(corners, axis=0))), 1e-9))
+        share = min(
+            1.0, (2.0 * self.reach) ** 2 / max(float(np.prod(np.ptp(corners, axis=0))), 1e-9)
+        )
         too_many = share * count > _MOST_NEAR or count > _MOST_EDGES
         return None if too_many else walls_around(self.walls, self.reach)
 
 
-def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
-    """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says."""
+def prepare(
+    world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None
+) -> Site:
+    """Make a world ready, for robots that start as
+    :func:`limslam_env.simulation.starts.starting_places` says.
+    """
     places = starting_places(world, robot, num_robots, start)
     grid = coverage_grid(world, robot, places.known)
     cells = places.cells[~places.is_pocket]
@@ -84,7 +97,9 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     runs = np.column_stack((cells[firsts], firsts)).astype(np.int32)
     starts = StartCells(places.given, runs, len(cells), places.space)
     tiles = to_tiles(grid.coverable)
-    return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
+    return Site(
+        build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts
+    )
 
 
 def to_tiles(cells: BoolArray) -> Words:
@@ -92,15 +107,21 @@ def to_tiles(cells: BoolArray) -> Words:
     rows, columns = (-(-side // TILE) for side in cells.shape)
     padded = np.zeros((rows * TILE, columns * TILE), dtype=bool)
     padded[: cells.shape[0], : cells.shape[1]] = cells
-    blocks = padded.reshape(rows, TILE, columns, TILE).swapaxes(1, 2).reshape(rows, columns, TILE * TILE)
+    blocks = (
+        padded.reshape(rows, TILE, columns, TILE).swapaxes(1, 2).reshape(rows, columns, TILE * TILE)
+    )
     return np.packbits(blocks, axis=-1, bitorder="little").view("<u8")[..., 0].astype(np.uint64)
 
 
 def from_tiles(tiles: Words, shape: tuple[int, int]) -> BoolArray:
     """The grid (rows, columns) that :func:`to_tiles` made tiles (tile_rows, tile_columns) of."""
     rows, columns = tiles.shape
-    bits = np.unpackbits(tiles.astype("<u8").view(np.uint8).reshape(rows, columns, TILE), axis=-1, bitorder="little")
-    blocks = bits.reshape(rows, columns, TILE, TILE).swapaxes(1, 2).reshape(rows * TILE, columns * TILE)
+    bits = np.unpackbits(
+        tiles.astype("<u8").view(np.uint8).reshape(rows, columns, TILE), axis=-1, bitorder="little"
+    )
+    blocks = (
+        bits.reshape(rows, columns, TILE, TILE).swapaxes(1, 2).reshape(rows * TILE, columns * TILE)
+    )
     return np.asarray(blocks[: shape[0], : shape[1]], dtype=bool)
 
 
@@ -146,13 +167,18 @@ class Sites:
     Attributes
     ----------
     layout, grids, areas, tiles, totals
-        As :class:`limslam_env.kernels.batch_state.Worlds` holds them; ``tiles`` are its ``coverable``.
+        As :class:`limslam_env.kernels.batch_state.Worlds` holds them; ``tiles`` are its
+        ``coverable``.
     shapes
         Rows and columns of each coverage grid.
     """
 
     def __init__(self) -> None:
-        self._edges, self._cells, self._items = _RowStore(np.float64, 4), _RowStore(np.int32), _RowStore(np.int32)
+        self._edges, self._cells, self._items = (
+            _RowStore(np.float64, 4),
+            _RowStore(np.int32),
+            _RowStore(np.int32),
+        )
         self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.uint16)
         self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
         self.grids: FloatArray = np.zeros((0, 3))
@@ -167,7 +193,13 @@ class Sites:
     @property
     def worlds(self) -> Worlds:
         """The arrays as the kernels take them."""
-        walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
+        walls = (
+            self._edges.rows,
+            self._cells.rows,
+            self._items.rows,
+            self._near_cells.rows,
+            self._near_items.rows,
+        )
         return Worlds(self.layout, self.grids, self.areas, *walls, self.tiles, self.totals)
 
     def put(self, slot: int, site: Site) -> None:
@@ -181,9 +213,19 @@ class Sites:
         starts, numbers = near or _NOWHERE
         first_item = self._near_items.put(slot, numbers)
         first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
-        self.layout[slot] = first_edge, first_cell, walls.columns, walls.rows, *tiles.shape[::-1], first_near
+        self.layout[slot] = (
+            first_edge,
+            first_cell,
+            walls.columns,
+            walls.rows,
+            *tiles.shape[::-1],
+            first_near,
+        )
         self.grids[slot], self.areas[slot] = (walls.low_x, walls.low_y, walls.side), site.area
-        self.totals[slot], self.shapes[slot] = max(int(np.bitwise_count(tiles).sum()), 1), site.shape
+        self.totals[slot], self.shapes[slot] = (
+            max(int(np.bitwise_count(tiles).sum()), 1),
+            site.shape,
+        )
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
         self.tiles[slot] = 0
@@ -201,4 +243,8 @@ class Sites:
             more = max(1, len(self.layout) // 2)
             for name in ("layout", "grids", "areas", "totals", "tiles"):
                 array = getattr(self, name)
-                setattr(self, name, np.concatenate((array, np.zeros((more, *array.shape[1:]), array.dtype))))
+                setattr(
+                    self,
+                    name,
+                    np.concatenate((array, np.zeros((more, *array.shape[1:]), array.dtype))),
+                )

@@ -1,4 +1,6 @@
-"""What the environments share: arguments, spaces, observations and info; and the simulation of single ones."""
+"""What the environments share: arguments, spaces, observations and info; and the simulation of
+single ones.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -48,12 +50,18 @@ def observation_space(robot: RobotSpec) -> spaces.Dict:
 def wheel_speeds(action: Action) -> tuple[float, float]:
     """An action as two numbers; a ValueError where it is not two finite numbers."""
     try:
-        left, right = (action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)).tolist()
+        left, right = (
+            action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)
+        ).tolist()
         if math.isfinite(left) and math.isfinite(right):
             return left, right
     except (TypeError, ValueError, OverflowError):
         pass
-    raise ValueError(one_line(f"an action is two finite numbers, left and right wheel speed, not {described(action)}"))
+    raise ValueError(
+        one_line(
+            f"an action is two finite numbers, left and right wheel speed, not {described(action)}"
+        )
+    )
 
 
 def observation_of(readings: Any, which: Any) -> Any:
@@ -92,7 +100,9 @@ class Configured:
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
     ) -> None:
-        """Take the arguments of all environments; their classes document them and the errors raised."""
+        """Take the arguments of all environments; their classes document them and the errors
+        raised.
+        """
         self.robot = given("robot", robot, RobotSpec)
         self.task = TaskConfig(coverage_goal, given("rewards", rewards, RewardConfig))
         told = given("noise", noise, NoiseConfig)
@@ -102,9 +112,9 @@ class Configured:
     def nominal_noise(self) -> NominalNoise:
         """The noise that the robot's data sheets give, and that an agent may therefore know.
 
-        Of a range of values it is the upper end. The variance of the wheels is never below that of ``NominalNoise()``,
-        because no data sheet promises ideal wheels. Noise that a standard deviation cannot describe (dropouts, slip,
-        unequal wheels and so on) is not part of it.
+        Of a range of values it is the upper end. The variance of the wheels is never below that of
+        ``NominalNoise()``, because no data sheet promises ideal wheels. Noise that a standard
+        deviation cannot describe (dropouts, slip, unequal wheels and so on) is not part of it.
         """
         wheel_variance = max(bounds_of(self.noise.wheel_variance)[1], NominalNoise().wheel_variance)
         return NominalNoise(bounds_of(self.noise.sensor_noise)[1], wheel_variance)
@@ -113,7 +123,9 @@ class Configured:
 class NamedRobots:
     """The names and the spaces of several robots, as PettingZoo asks for them."""
 
-    def _name(self, num_robots: int, observations: Callable[[], Any], actions: Callable[[], Any]) -> None:
+    def _name(
+        self, num_robots: int, observations: Callable[[], Any], actions: Callable[[], Any]
+    ) -> None:
         """Name the robots, and give each of them a space of observations and of actions."""
         self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
         self.observation_spaces = self._each(lambda _: observations())
@@ -134,7 +146,9 @@ class NamedRobots:
         return {name: value_of(number) for number, name in enumerate(self.possible_agents)}
 
     def _in_order(self, actions: dict[str, Any]) -> list[Any]:
-        """The actions of all robots, in the order of the robots; a ValueError where there is not one for each."""
+        """The actions of all robots, in the order of the robots; a ValueError where there is not
+        one for each.
+        """
         if set(actions) != set(self.possible_agents):
             names = ", ".join(self.possible_agents)
             raise ValueError(f"there must be one action for each of {names}, not {list(actions)}")
@@ -142,11 +156,15 @@ class NamedRobots:
 
 
 class SimulationEnv(Configured):
-    """Base of the single environments: their simulation and its pictures, and all methods but reset and step."""
+    """Base of the single environments: their simulation and its pictures, and all methods but reset
+    and step.
+    """
 
     render_mode: str | None
 
-    def _set_up(self, world: PlaceSource, num_robots: int, render_mode: str | None, **arguments: Any) -> None:
+    def _set_up(
+        self, world: PlaceSource, num_robots: int, render_mode: str | None, **arguments: Any
+    ) -> None:
         """Take an environment's arguments; its class documents them and the errors raised."""
         self.render_mode = render_mode
         self._painter = Painter(render_mode)
@@ -173,7 +191,9 @@ class SimulationEnv(Configured):
 
     @property
     def seen(self) -> BoolArray:
-        """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for scoring only."""
+        """Which cells of the coverage grid have truly been seen (rows, columns); a copy, for
+        scoring only.
+        """
         return self._running.seen
 
     @property
@@ -182,7 +202,8 @@ class SimulationEnv(Configured):
         return self._running.poses
 
     def carry(self, robot: int, pose: FloatArray) -> None:
-        """Carry a robot to another pose (3,) without a turn of its wheels, as a test of what an agent does then.
+        """Carry a robot to another pose (3,) without a turn of its wheels, as a test of what an
+        agent does then.
 
         Raises
         ------
@@ -193,7 +214,8 @@ class SimulationEnv(Configured):
 
     @property
     def overlay(self) -> Sequence[Overlay]:
-        """The agents' estimates, drawn over later pictures; the first one has the colour of the first robot.
+        """The agents' estimates, drawn over later pictures; the first one has the colour of the
+        first robot.
 
         It can be set at any time, to one overlay or to several. An empty overlay draws nothing.
         """
@@ -209,7 +231,9 @@ class SimulationEnv(Configured):
         return self._painter.window
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture (height, width, 3) of world, robots, beams and paths; None without a render mode or in a window."""
+        """A picture (height, width, 3) of world, robots, beams and paths; None without a render
+        mode or in a window.
+        """
         return None if self.render_mode is None else self._painter.paint(self._running)
 
     def close(self) -> None:
@@ -223,7 +247,9 @@ class SimulationEnv(Configured):
             raise gym.error.ResetNeeded("there is no episode yet: call reset first")
         return self._simulation
 
-    def _begin(self, generator: np.random.Generator, options: dict[str, Any] | None) -> tuple[Readings, Truth]:
+    def _begin(
+        self, generator: np.random.Generator, options: dict[str, Any] | None
+    ) -> tuple[Readings, Truth]:
         """Begin an episode. A reset that raises an error leaves the running episode unchanged."""
         asked = reset_options(options, *RESET_OPTIONS)
         entropy = int(generator.integers(2**63))
@@ -248,7 +274,9 @@ class SimulationEnv(Configured):
             source = FloorPlanConfig()
         if isinstance(source, FloorPlanConfig):
             task = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(_TASK_SEED,)))
-            return Simulation(floor_plan(source, task, self.robot.radius), self.robot, self._num_robots)
+            return Simulation(
+                floor_plan(source, task, self.robot.radius), self.robot, self._num_robots
+            )
         return Simulation(load_world(source), self.robot, self._num_robots)
 
 

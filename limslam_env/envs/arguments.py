@@ -16,13 +16,17 @@ from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 from limslam_env.worlds.world import World
 
 PlaceSource: TypeAlias = WorldSource | FloorPlanConfig
-"""A world, its name or its file; or settings of random floor plans, or ``"random"`` for the default settings."""
+"""A world, its name or its file; or settings of random floor plans, or ``"random"`` for the default
+settings.
+"""
 
 BatchSource: TypeAlias = PlaceSource | Sequence[PlaceSource]
 """What a single environment takes, or a sequence of worlds, one for each environment."""
 
 Plans: TypeAlias = int | Sequence[int] | None
-"""The number or the seeds of floor plans that are generated once; None for new floor plans at each reset."""
+"""The number or the seeds of floor plans that are generated once; None for new floor plans at each
+reset.
+"""
 
 MAX_ROBOTS = 8
 
@@ -30,20 +34,28 @@ Kind = TypeVar("Kind", RobotSpec, NoiseConfig, RewardConfig)
 
 
 def given(name: str, value: Any, kind: type[Kind]) -> Kind:
-    """An argument, or what ``kind`` is by default for None; a ValueError where it is of another kind."""
+    """An argument, or what ``kind`` is by default for None; a ValueError where it is of another
+    kind.
+    """
     if value is None:
         return kind()
     if isinstance(value, kind):
         return value
     example = f"{kind.__name__}({fields(kind)[0].name}=...)"
-    raise ValueError(one_line(f"{name} must be a {kind.__name__}, such as {example}, not {described(value)}"))
+    raise ValueError(
+        one_line(f"{name} must be a {kind.__name__}, such as {example}, not {described(value)}")
+    )
 
 
 def whole(name: str, value: Any, otherwise: str = "") -> int:
-    """A whole number of at least 1; a ValueError otherwise, which adds the alternatives that ``otherwise`` names."""
+    """A whole number of at least 1; a ValueError otherwise, which adds the alternatives that
+    ``otherwise`` names.
+    """
     number = _index(value)
     if number is None or number < 1:
-        raise ValueError(f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}")
+        raise ValueError(
+            f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}"
+        )
     return number
 
 
@@ -62,12 +74,16 @@ def floats(value: Any) -> FloatArray:
 
 
 def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
-    """The options of a reset; a ValueError where they are no dictionary, or one of them is not ``known``."""
+    """The options of a reset; a ValueError where they are no dictionary, or one of them is not
+    ``known``.
+    """
     if not (options is None or isinstance(options, Mapping)):
         raise ValueError(f"reset options are a dictionary, not {described(options)}")
     unknown = sorted(map(str, set(options or {}) - set(known)))
     if unknown:
-        raise ValueError(f"unknown reset option {unknown[0]!r}; there are {' and '.join(map(repr, known))}")
+        raise ValueError(
+            f"unknown reset option {unknown[0]!r}; there are {' and '.join(map(repr, known))}"
+        )
     return options or {}
 
 
@@ -77,12 +93,17 @@ def is_random(source: object) -> TypeGuard[str]:
 
 
 def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | FloorPlanConfig:
-    """The world of all environments or of each, or what floor plans are drawn by; a ValueError if they do not fit."""
+    """The world of all environments or of each, or what floor plans are drawn by; a ValueError if
+    they do not fit.
+    """
     if isinstance(source, FloorPlanConfig):
         return source
     if isinstance(source, Sequence) and not isinstance(source, str):
         if len(source) != num_envs:
-            raise ValueError(f"{len(source)} worlds for {num_envs} environments; give one for each, or one for all")
+            raise ValueError(
+                f"{len(source)} worlds for {num_envs} environments; give one for each, or one for "
+                "all"
+            )
         if any(isinstance(place, FloorPlanConfig) or is_random(place) for place in source):
             raise ValueError("floor plans are drawn for all environments or for none")
         loaded = {place: load_world(place) for place in dict.fromkeys(source)}  # type: ignore[arg-type]
@@ -91,7 +112,9 @@ def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | Floor
 
 
 def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
-    """The seeds of the floor plans that are made beforehand; a ValueError where there can be none."""
+    """The seeds of the floor plans that are made beforehand; a ValueError where there can be
+    none.
+    """
     if plans is None:
         return None
     if not (isinstance(source, FloorPlanConfig) or is_random(source)):
@@ -99,7 +122,10 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
     seeds = plans if isinstance(plans, Sequence) else range(_index(plans) or 0)
     found = [seed for seed in map(_index, seeds) if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):
-        raise ValueError(f"plans must be 1 or more, or seeds of 0 and more, whole numbers, not {described(plans)}")
+        raise ValueError(
+            "plans must be 1 or more, or seeds of 0 and more, whole numbers, not "
+            f"{described(plans)}"
+        )
     return found
 
 

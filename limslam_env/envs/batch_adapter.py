@@ -1,4 +1,6 @@
-"""What the adapters of batches share: arguments, actions, seeds, pictures, and info in Gymnasium's form for vectors."""
+"""What the adapters of batches share: arguments, actions, seeds, pictures, and info in Gymnasium's
+form for vectors.
+"""
 
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
@@ -10,7 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.places import Places
 from limslam_env.envs.adapter import Configured, info_of, observation_of
-from limslam_env.envs.arguments import BatchSource, Plans, floats, reset_options, seeds_of, whole, worlds_of
+from limslam_env.envs.arguments import (
+    BatchSource,
+    Plans,
+    floats,
+    reset_options,
+    seeds_of,
+    whole,
+    worlds_of,
+)
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.messages import described
 from limslam_env.worlds.world import World
@@ -19,10 +29,14 @@ if TYPE_CHECKING:
     from limslam_env.rendering.rendering import Background
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
-"""The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
+"""The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2),
+m.
+"""
 
 Ended: TypeAlias = tuple[Results, BoolArray] | None
-"""The results of the episodes that ended in a step, and in which environments (n,) they did, if new ones have begun."""
+"""The results of the episodes that ended in a step, and in which environments (n,) they did, if new
+ones have begun.
+"""
 
 
 class Batched(Configured):
@@ -52,24 +66,34 @@ class Batched(Configured):
     ) -> None:
         """Take a batch's arguments; its class documents them and the errors raised."""
         num_envs = whole("num_envs", num_envs)
-        max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
-        num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
+        max_steps = (
+            None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
+        )
+        num_threads = (
+            None if num_threads is None else whole("num_threads", num_threads, ", or None")
+        )
         self._configure(**arguments)
         self._num_robots, self.num_envs = num_robots, num_envs
         source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
-        self._simulation = self._kind(places, self.robot, self.noise, self.task, max_steps, num_threads)
+        self._simulation = self._kind(
+            places, self.robot, self.noise, self.task, max_steps, num_threads
+        )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._is_over, self._is_running = np.zeros(num_envs, dtype=bool), False
 
     def seen(self, env: int) -> BoolArray:
-        """The coverable cells (rows, columns) of an environment's coverage grid that have been seen."""
+        """The coverable cells (rows, columns) of an environment's coverage grid that have been
+        seen.
+        """
         return self._simulation.seen(env)
 
     def _begin(
         self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[Results, BoolArray]:
-        """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of their environments."""
+        """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of
+        their environments.
+        """
         asked, seeds = reset_options(options, "start", "reset_mask"), None
         mask, start = self._mask(asked.get("reset_mask")), self._start(asked.get("start"))
         if seed is not None or not self._is_running:
@@ -86,12 +110,15 @@ class Batched(Configured):
     def _drive(self, actions: FloatArray) -> tuple[Results, Ended]:
         """Drive all robots with actions (n, m, 2), and reset where the mode says so.
 
-        The results have the readings and the truth of the episodes that run now, new ones among them.
+        The results have the readings and the truth of the episodes that run now, new ones among
+        them.
         """
         fresh = self._is_over if self._is_over.any() else None
         if fresh is not None:
             if self.autoreset_mode is AutoresetMode.DISABLED:
-                raise gym.error.ResetNeeded(f"the episode of environment {int(np.argmax(fresh))} is over")
+                raise gym.error.ResetNeeded(
+                    f"the episode of environment {int(np.argmax(fresh))} is over"
+                )
             self._simulation.begin(fresh)
         results = self._simulation.step(actions, fresh)
         over = results.terminated | results.truncated
@@ -109,7 +136,9 @@ class Batched(Configured):
             return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(option)
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise ValueError(f"the reset_mask must be {self.num_envs} booleans, one of them true at least")
+            raise ValueError(
+                f"the reset_mask must be {self.num_envs} booleans, one of them true at least"
+            )
         if not (self._is_running or mask.all()):
             raise gym.error.ResetNeeded("the first reset is of all environments")
         return mask
@@ -122,7 +151,9 @@ class Batched(Configured):
         if start.ndim < 3 and start.shape[-1:] == (3,):
             # One pose for all, or as many as there are robots or, with one robot, environments.
             start = start.reshape(-1, 1, 3) if self._num_robots == 1 else start.reshape(1, -1, 3)
-        is_fitting = start.ndim == 3 and start.shape[2] == 3 and start.shape[0] in {1, self.num_envs}
+        is_fitting = (
+            start.ndim == 3 and start.shape[2] == 3 and start.shape[0] in {1, self.num_envs}
+        )
         if not is_fitting or not 1 <= start.shape[1] <= self._num_robots:
             raise ValueError(
                 "the start is a pose (x, y, theta) for all environments, or an array of poses "
@@ -136,11 +167,15 @@ def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> Float
     array = floats(actions)
     if array.shape != (num_envs, 2):
         raise ValueError(
-            f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel, not shape {array.shape}"
+            f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel, not "
+            f"shape {array.shape}"
         )
     if not np.isfinite(array).all():
         row = int(np.argwhere(~np.isfinite(array))[0, 0])
-        raise ValueError(f"actions{whose} must be finite numbers; those of environment {row} are {array[row].tolist()}")
+        raise ValueError(
+            f"actions{whose} must be finite numbers; those of environment {row} are "
+            f"{array[row].tolist()}"
+        )
     return array
 
 
@@ -150,16 +185,23 @@ def observations_of(results: Results, robot: int) -> BatchObservation:
     return observations
 
 
-def infos_of(results: Results, robot: int, ended: Ended = None, mask: BoolArray | None = None) -> dict[str, Any]:
-    """What is true of one robot of each environment, or those of a ``mask`` (n,); and of episodes that have ended.
+def infos_of(
+    results: Results, robot: int, ended: Ended = None, mask: BoolArray | None = None
+) -> dict[str, Any]:
+    """What is true of one robot of each environment, or those of a ``mask`` (n,); and of episodes
+    that have ended.
 
     As Gymnasium's own vector environments give it, each key with a mask (n,) beside it.
     """
     info = info_of(results, np.s_[:, robot])
     mask = np.ones(len(results.time), dtype=bool) if mask is None else mask
-    # A step knows the values of all environments. After a reset of some, the others have zeros, as Gymnasium asks.
+    # A step knows the values of all environments. After a reset of some, the others have zeros, as
+    # Gymnasium asks.
     if not mask.all():
-        info = {key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0) for key, value in info.items()}
+        info = {
+            key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0)
+            for key, value in info.items()
+        }
         info["collision"] = info["collision"].astype(bool)
     info |= {f"_{key}": mask.copy() for key in info}
     if ended is None:
@@ -178,10 +220,12 @@ class BatchPictures:
     def __init__(self, simulation: BatchSimulation) -> None:
         self._simulation = simulation
         self._last: Results | None = None
-        # Positions (n, m, 2) after each step, and for each environment the row in which its episode begins.
+        # Positions (n, m, 2) after each step, and for each environment the row in which its episode
+        # begins.
         self._trail: list[FloatArray] = []
         self._begins = np.zeros(simulation.num_envs, dtype=np.int64)
-        # Where environments are, until their next episodes: to draw a world takes longer than a picture.
+        # Where environments are, until their next episodes: to draw a world takes longer than a
+        # picture.
         self._places: dict[int, tuple[World, Background]] = {}
 
     def begin(self, results: Results) -> None:
@@ -194,9 +238,12 @@ class BatchPictures:
         """Remember the state after a step."""
         # The caller may change these arrays, and the pictures must not change with them.
         self._last = results._replace(
-            ranges=results.ranges.copy(), poses=results.poses.copy(), time=results.time.copy(),
-            coverage=results.coverage.copy(), wall_seen=results.wall_seen.copy(),
-        )  # fmt: skip
+            ranges=results.ranges.copy(),
+            poses=results.poses.copy(),
+            time=results.time.copy(),
+            coverage=results.coverage.copy(),
+            wall_seen=results.wall_seen.copy(),
+        )
         self._trail.append(self._last.poses[:, :, :2])
         has_begun = results.time == 0.0
         if has_begun.any():
@@ -223,8 +270,16 @@ class BatchPictures:
             (world, background), grid = self._places[env], simulation.coverage_grid(env)
             paths = trail[self._begins[env] :, env].swapaxes(0, 1)
             state = RenderState(
-                world, simulation.robot, last.poses[env], last.wall_seen[env], last.ranges[env], list(paths),
-                float(last.time[env]), float(last.coverage[env]), simulation.seen(env) & grid.coverable, grid.low,
-            )  # fmt: skip
+                world,
+                simulation.robot,
+                last.poses[env],
+                last.wall_seen[env],
+                last.ranges[env],
+                list(paths),
+                float(last.time[env]),
+                float(last.coverage[env]),
+                simulation.seen(env) & grid.coverable,
+                grid.low,
+            )
             pictures.append(render(state, background=background))
         return tuple(pictures)

@@ -1,4 +1,6 @@
-"""The Gymnasium environment with one robot: an adapter of the simulation to Gymnasium's interface."""
+"""The Gymnasium environment with one robot: an adapter of the simulation to Gymnasium's
+interface.
+"""
 
 from typing import Any
 
@@ -25,9 +27,10 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     """Explore an unknown building with a few range beams and wheel encoders.
 
     ## Description
-    A round differential-drive robot explores a building without a map. Its sensors are a few range beams, which
-    measure the distance to the nearest wall, and two wheel encoders, which measure the travel of the wheels. All
-    measurements are noisy. The task is to see every visible part of the building.
+    A round differential-drive robot explores a building without a map. Its sensors are a few range
+    beams, which measure the distance to the nearest wall, and two wheel encoders, which measure the
+    travel of the wheels. All measurements are noisy. The task is to see every visible part of the
+    building.
 
     ## Action Space
     `Box(-1.0, 1.0, (2,), float32)`
@@ -47,12 +50,12 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     | ranges | (n_beams,) | the beams' min_range | the beams' max_range| m    | distance along each beam; max_range without a hit   |
     | wheels | (2,)       | -max_wheel_travel    | max_wheel_travel    | m    | left and right wheel travel since the last step     |
 
-    The default robot's beams point at +90, +45, +15, -15, -45 and -90 degrees and reach from 0.05 to
-    1.5 m; `max_wheel_travel` is 0.06 m.
+    The default robot's beams point at +90, +45, +15, -15, -45 and -90 degrees and reach from 0.05
+    to 1.5 m; `max_wheel_travel` is 0.06 m.
 
     ## Info
-    `info` holds the ground truth. It is meant for evaluation, not for agents. The exception is the `pose` that `reset`
-    returns: it is the start pose, which an agent may know.
+    `info` holds the ground truth. It is meant for evaluation, not for agents. The exception is the
+    `pose` that `reset` returns: it is the start pose, which an agent may know.
 
     | Key       | Type              | Unit      | Meaning                                                                 |
     |-----------|-------------------|-----------|-------------------------------------------------------------------------|
@@ -73,13 +76,13 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     | collision | -0.05   | for each step in which the robot touches something         |
 
     ## Starting State
-    The robot starts at the world's first start pose. If the world has none, the pose is random (by the seed).
-    `reset(options={"start": (x, y, theta)})` sets the start pose.
+    The robot starts at the world's first start pose. If the world has none, the pose is random (by
+    the seed). `reset(options={"start": (x, y, theta)})` sets the start pose.
 
     ## Episode End
-    The episode terminates when `coverage` reaches `coverage_goal` (default 0.99); with `None` it never
-    terminates. An environment made by `gymnasium.make` truncates the episode after `max_episode_steps` steps
-    (18000 by default: 30 minutes).
+    The episode terminates when `coverage` reaches `coverage_goal` (default 0.99); with `None` it
+    never terminates. An environment made by `gymnasium.make` truncates the episode after
+    `max_episode_steps` steps (18000 by default: 30 minutes).
 
     ## Arguments
     | Argument      | Default           | Meaning                                                       |
@@ -92,7 +95,8 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     | rewards       | `RewardConfig()`  | see Rewards                                                   |
     | render_mode   | None              | `"rgb_array"` draws pictures, `"human"` shows them in a window (extra `play`) |
 
-    `reset(options={"world": ...})` uses another world for one episode; later resets use the environment's own world.
+    `reset(options={"world": ...})` uses another world for one episode; later resets use the
+    environment's own world.
 
     ## Version History
     * v0: first release.
@@ -122,9 +126,15 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
         render_mode: str | None = None,
     ) -> None:
         self._set_up(
-            world, 1, render_mode,
-            robot=robot, sensor_noise=sensor_noise, noise=noise, coverage_goal=coverage_goal, rewards=rewards,
-        )  # fmt: skip
+            world,
+            1,
+            render_mode,
+            robot=robot,
+            sensor_noise=sensor_noise,
+            noise=noise,
+            coverage_goal=coverage_goal,
+            rewards=rewards,
+        )
         self.action_space = action_space()  # type: ignore[assignment]
         self.observation_space = observation_space(self.robot)  # type: ignore[assignment]
 

@@ -1,4 +1,6 @@
-"""The PettingZoo environment with several robots in one building: an adapter of the simulation to its interface."""
+"""The PettingZoo environment with several robots in one building: an adapter of the simulation to
+its interface.
+"""
 
 from typing import Any
 
@@ -26,25 +28,28 @@ from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 
 
 class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observation, Action]):
-    """Explore an unknown building with several robots, each with a few range beams and wheel encoders.
+    """Explore an unknown building with several robots, each with a few range beams and wheel
+    encoders.
 
-    The agents are called `robot_0`, `robot_1`, and so on. They act simultaneously, their beams detect the other
-    robots' bodies, and bodies that collide push each other. The action space, the observation space and the keys of
-    `info` of each agent are those of :class:`limslam_env.envs.env.LimSlamEnv`. A beam that hits another robot has the
-    value -2 in `wall_seen`; the observation itself does not distinguish robots from walls.
+    The agents are called `robot_0`, `robot_1`, and so on. They act simultaneously, their beams
+    detect the other robots' bodies, and bodies that collide push each other. The action space, the
+    observation space and the keys of `info` of each agent are those of
+    :class:`limslam_env.envs.env.LimSlamEnv`. A beam that hits another robot has the value -2 in
+    `wall_seen`; the observation itself does not distinguish robots from walls.
 
     ## Rewards
-    The terms are those of `LimSlamEnv`; an area counts for the robot that is the first to see it. With
-    `shared_reward` each robot gets the mean of all rewards.
+    The terms are those of `LimSlamEnv`; an area counts for the robot that is the first to see it.
+    With `shared_reward` each robot gets the mean of all rewards.
 
     ## Starting State
-    The robots take the world's start poses in order. The first robot starts where it would start alone. Robots for
-    which the world has no start pose start at random (by the seed) in the region that the first robot can reach.
-    `reset(options={"start": [(x, y, theta), ...]})` sets the poses of the first robots.
+    The robots take the world's start poses in order. The first robot starts where it would start
+    alone. Robots for which the world has no start pose start at random (by the seed) in the region
+    that the first robot can reach. `reset(options={"start": [(x, y, theta), ...]})` sets the poses
+    of the first robots.
 
     ## Episode End
-    The episode ends for all robots at once. It terminates when their joint coverage reaches `coverage_goal`. It is
-    truncated after `max_cycles` steps.
+    The episode ends for all robots at once. It terminates when their joint coverage reaches
+    `coverage_goal`. It is truncated after `max_cycles` steps.
 
     ## Arguments
     | Argument      | Default           | Meaning                                                     |
@@ -93,9 +98,15 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         if max_cycles is not None:
             whole("max_cycles", max_cycles, ", or None")
         self._set_up(
-            world, num_robots, render_mode,
-            robot=robot, sensor_noise=sensor_noise, noise=noise, coverage_goal=coverage_goal, rewards=rewards,
-        )  # fmt: skip
+            world,
+            num_robots,
+            render_mode,
+            robot=robot,
+            sensor_noise=sensor_noise,
+            noise=noise,
+            coverage_goal=coverage_goal,
+            rewards=rewards,
+        )
         self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
         self._generator: np.random.Generator | None = None
         self._name(num_robots, lambda: observation_space(self.robot), action_space)
@@ -104,7 +115,8 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Start a new episode; options: `start`, one pose or a list of them, and `world`. Others are ignored.
+        """Start a new episode; options: `start`, one pose or a list of them, and `world`. Others
+        are ignored.
 
         Raises
         ------
@@ -124,7 +136,13 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
 
     def step(
         self, actions: dict[str, Action]
-    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[
+        dict[str, Observation],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
         """Drive all robots for one control period.
 
         Raises

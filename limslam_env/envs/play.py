@@ -20,7 +20,9 @@ _TURN, _CRUISE, _BACKWARDS = 0.30, 0.70, 0.50
 
 
 class Drive(NamedTuple):
-    """The result of a drive: simulated time since the last restart, s, and the coverage since then, 0 to 1."""
+    """The result of a drive: simulated time since the last restart, s, and the coverage since then,
+    0 to 1.
+    """
 
     time: float
     coverage: float
@@ -29,8 +31,8 @@ class Drive(NamedTuple):
 def wheel_speeds(keys: frozenset[str]) -> tuple[float, float]:
     """Left and right wheel speed, fractions of the maximum, for the keys that are held.
 
-    Ahead and back, left and right cancel each other. While driving, a turn is a wide curve, and going backwards, left
-    and right stay left and right of the driver, as in a car.
+    Ahead and back, left and right cancel each other. While driving, a turn is a wide curve, and
+    going backwards, left and right stay left and right of the driver, as in a car.
     """
     ahead = bool(keys & _AHEAD) - bool(keys & _BACK)
     turn = bool(keys & _LEFT) - bool(keys & _RIGHT)
@@ -44,7 +46,8 @@ def wheel_speeds(keys: frozenset[str]) -> tuple[float, float]:
 
 
 def play(world: WorldSource, *, max_steps: int | None = None) -> Drive:
-    """Open a window in which the user drives a robot by keyboard, until it is closed or ``max_steps`` are driven.
+    """Open a window in which the user drives a robot by keyboard, until it is closed or
+    ``max_steps`` are driven.
 
     Raises
     ------
@@ -63,7 +66,8 @@ def play(world: WorldSource, *, max_steps: int | None = None) -> Drive:
 
 
 def _drive(env: LimSlamEnv, max_steps: int | None) -> Drive:
-    # Each reset and step is shown in the window, which then waits for a control period. So the drive keeps real time.
+    # Each reset and step is shown in the window, which then waits for a control period. So the
+    # drive keeps real time.
     info, driven = env.reset(seed=0)[1], 0
     window = env.window
     if window is None:
@@ -73,5 +77,8 @@ def _drive(env: LimSlamEnv, max_steps: int | None) -> Drive:
         keys = window.pressed_keys()
         if window.closed or keys & _QUIT:
             break
-        info, driven = env.reset(seed=0)[1] if "r" in keys else env.step(wheel_speeds(keys))[4], driven + 1
+        info, driven = (
+            env.reset(seed=0)[1] if "r" in keys else env.step(wheel_speeds(keys))[4],
+            driven + 1,
+        )
     return Drive(info["time"], info["coverage"])

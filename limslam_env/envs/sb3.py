@@ -1,4 +1,6 @@
-"""Batches of environments for Stable-Baselines3, which has its own interface for them (extra ``rl``)."""
+"""Batches of environments for Stable-Baselines3, which has its own interface for them (extra
+``rl``).
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,11 +15,11 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 class Sb3VecEnv(VecEnv):
     """An adapter of a `gymnasium.vector.VectorEnv` to Stable-Baselines3's interface.
 
-    ``Sb3VecEnv(gym.make_vec("LimSlam-Random-v0", 64, autoreset_mode="SameStep"))`` makes a batch whose steps are one
-    call. The infos of an episode's last step hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
-    (return ``r``, steps ``l``), so that no `VecMonitor` is needed. The infos of each step hold its ``cost``, if the
-    batch has one. Other infos stay behind, since turning arrays into a dict for each environment would cost more than
-    the step.
+    ``Sb3VecEnv(gym.make_vec("LimSlam-Random-v0", 64, autoreset_mode="SameStep"))`` makes a batch
+    whose steps are one call. The infos of an episode's last step hold ``terminal_observation``,
+    ``TimeLimit.truncated`` and ``episode`` (return ``r``, steps ``l``), so that no `VecMonitor` is
+    needed. The infos of each step hold its ``cost``, if the batch has one. Other infos stay behind,
+    since turning arrays into a dict for each environment would cost more than the step.
 
     Parameters
     ----------
@@ -32,10 +34,15 @@ class Sb3VecEnv(VecEnv):
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
         if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
-            raise ValueError("episodes must begin in the step in which others end: autoreset_mode='SameStep'")
+            raise ValueError(
+                "episodes must begin in the step in which others end: autoreset_mode='SameStep'"
+            )
         self.env = env
         self._actions: NDArray[Any] | None = None
-        self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
+        self._returns, self._lengths = (
+            np.zeros(env.num_envs),
+            np.zeros(env.num_envs, dtype=np.int64),
+        )
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         if "render_fps" in env.metadata:
             self.metadata["render_fps"] = env.metadata["render_fps"]
@@ -84,7 +91,9 @@ class Sb3VecEnv(VecEnv):
         del indices
         setattr(self.env, attr_name, value)
 
-    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any
+    ) -> list[Any]:
         """Call a method of the batch once; returns its result for each environment."""
         return [getattr(self.env, method_name)(*args, **kwargs)] * len(self._numbers(indices))
 
@@ -94,12 +103,16 @@ class Sb3VecEnv(VecEnv):
         return [False] * len(self._numbers(indices))
 
     def get_images(self) -> Sequence[NDArray[Any] | None]:
-        """A picture (height, width, 3) of each environment; None where the batch has no ``render_mode``."""
+        """A picture (height, width, 3) of each environment; None where the batch has no
+        ``render_mode``.
+        """
         pictures: Sequence[Any] | None = self.env.render()
         return pictures or [None] * self.num_envs
 
     def _costs(self, found: dict[str, Any]) -> list[dict[str, Any]]:
-        """An info for each environment with the cost of its step; without it if the batch has none."""
+        """An info for each environment with the cost of its step; without it if the batch has
+        none.
+        """
         if "cost" not in found:
             return [{} for _ in range(self.num_envs)]
         costs = found["cost"]

@@ -1,4 +1,6 @@
-"""The batched environments, of Gymnasium for one robot and of dicts for several: thin adapters over the simulation."""
+"""The batched environments, of Gymnasium for one robot and of dicts for several: thin adapters over
+the simulation.
+"""
 
 from typing import Any
 
@@ -28,7 +30,9 @@ from limslam_env.rendering.painter import RENDER_FPS
 
 
 def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec`` calls this."""
+    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec``
+    calls this.
+    """
     if device == "cpu":
         return LimSlamVectorEnv(**arguments)
     if device != "cuda":
@@ -38,29 +42,34 @@ def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv
     return LimSlamDeviceEnv(**arguments)
 
 
-class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[np.floating[Any]], NDArray[Any]]):
-    """Many environments like :class:`limslam_env.envs.env.LimSlamEnv`, driven together by compiled code.
+class LimSlamVectorEnv(
+    Batched, gym.vector.VectorEnv[BatchObservation, NDArray[np.floating[Any]], NDArray[Any]]
+):
+    """Many environments like :class:`limslam_env.envs.env.LimSlamEnv`, driven together by compiled
+    code.
 
     ## Description
-    `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes such a batch. Without noise the observations equal those of
-    the single environment; with noise they have the same distributions. No step loops over all environments in Python, and
-    from 1024 environments on several threads share the work. The results depend on the seed and the number of
-    environments, but not on the number of threads.
-    `gym.make_vec(..., device="cuda")` makes a batch on a GPU (:class:`limslam_env.envs.device_env.LimSlamDeviceEnv`).
+    `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes such a batch. Without noise the
+    observations equal those of the single environment; with noise they have the same distributions.
+    No step loops over all environments in Python, and from 1024 environments on several threads
+    share the work. The results depend on the seed and the number of environments, but not on the
+    number of threads. `gym.make_vec(..., device="cuda")` makes a batch on a GPU
+    (:class:`limslam_env.envs.device_env.LimSlamDeviceEnv`).
 
     ## Spaces
-    `single_action_space` and `single_observation_space` are those of the single environment. Actions have the shape
-    (n, 2); values outside of -1 to 1 are clipped. An observation is a dict of two new float32 arrays in metres:
-    `ranges` (n, n_beams) and `wheels` (n, 2).
+    `single_action_space` and `single_observation_space` are those of the single environment.
+    Actions have the shape (n, 2); values outside of -1 to 1 are clipped. An observation is a dict
+    of two new float32 arrays in metres: `ranges` (n, n_beams) and `wheels` (n, 2).
 
     ## Info
-    The keys are those of the single environment: `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,), `cost`
-    (n,) and `wall_seen` (n, n_beams). For each key a mask (n,) with the key's name after an underscore, such as `_pose`, tells
-    for which environments the value is set.
+    The keys are those of the single environment: `pose` (n, 3), `time` (n,), `coverage` (n,),
+    `collision` (n,), `cost` (n,) and `wall_seen` (n, n_beams). For each key a mask (n,) with the
+    key's name after an underscore, such as `_pose`, tells for which environments the value is set.
 
     ## Episode End
-    An episode terminates at `coverage_goal` and is truncated after `max_episode_steps`. The argument `autoreset_mode`,
-    which is also an entry of `metadata`, selects how the next episode begins:
+    An episode terminates at `coverage_goal` and is truncated after `max_episode_steps`. The
+    argument `autoreset_mode`, which is also an entry of `metadata`, selects how the next episode
+    begins:
 
     | Mode      | Meaning                                                                                    |
     |-----------|--------------------------------------------------------------------------------------------|
@@ -111,16 +120,30 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in {None, "rgb_array"}:
-            raise ValueError(f"render_mode of a batch must be rgb_array or None, not {render_mode!r}")
+            raise ValueError(
+                f"render_mode of a batch must be rgb_array or None, not {render_mode!r}"
+            )
         self._set_up(
-            world, num_envs, 1, max_episode_steps, robot=robot, sensor_noise=sensor_noise, noise=noise,
-            coverage_goal=coverage_goal, rewards=rewards, autoreset_mode=autoreset_mode, plans=plans,
+            world,
+            num_envs,
+            1,
+            max_episode_steps,
+            robot=robot,
+            sensor_noise=sensor_noise,
+            noise=noise,
+            coverage_goal=coverage_goal,
+            rewards=rewards,
+            autoreset_mode=autoreset_mode,
+            plans=plans,
             num_threads=num_threads,
-        )  # fmt: skip
+        )
         self.render_mode = render_mode
         self._pictures = None if render_mode is None else BatchPictures(self._simulation)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
+        self.single_action_space, self.single_observation_space = (
+            action_space(),
+            observation_space(self.robot),
+        )
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
@@ -134,8 +157,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         seed
             Of all random numbers from now on; without it they go on.
         options
-            ``start``: a pose (3,), m and rad, or one for each environment (n, 3). ``reset_mask`` (n,): which
-            environments are reset; the others stay as they are.
+            ``start``: a pose (3,), m and rad, or one for each environment (n, 3). ``reset_mask``
+            (n,): which environments are reset; the others stay as they are.
 
         Raises
         ------
@@ -149,8 +172,11 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             self._pictures.begin(results)
         return observations_of(results, 0), infos_of(results, 0, mask=mask)
 
-    def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
-        """Drive for one control period; ``actions`` (n, 2) are left and right wheel speeds, -1 to 1.
+    def step(
+        self, actions: ArrayLike
+    ) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
+        """Drive for one control period; ``actions`` (n, 2) are left and right wheel speeds, -1 to
+        1.
 
         Raises
         ------
@@ -163,10 +189,18 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         now, ended = self._drive(checked_actions(actions, self.num_envs)[:, None])
         if self._pictures is not None:
             self._pictures.follow(now)
-        return observations_of(now, 0), now.rewards[:, 0], now.terminated, now.truncated, infos_of(now, 0, ended)
+        return (
+            observations_of(now, 0),
+            now.rewards[:, 0],
+            now.terminated,
+            now.truncated,
+            infos_of(now, 0, ended),
+        )
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture (640, 640, 3) of each environment; None without a render mode, and before the first reset."""
+        """A picture (640, 640, 3) of each environment; None without a render mode, and before the
+        first reset.
+        """
         return None if self._pictures is None else self._pictures.paint()
 
     def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Results, BoolArray]:
@@ -184,10 +218,10 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
 class LimSlamParallelVectorEnv(NamedRobots, Batched):
     """Many environments like ``LimSlamParallelEnv``, stepped together by compiled code.
 
-    Actions, observations, rewards, ends and infos are dicts with one entry per robot. Each entry has the form that
-    ``LimSlamVectorEnv`` uses: arrays over the n environments. Beams detect other robots, and bodies that collide push
-    each other. A policy that all robots share can stack the values of these dicts; independent policies can take one
-    entry each.
+    Actions, observations, rewards, ends and infos are dicts with one entry per robot. Each entry
+    has the form that ``LimSlamVectorEnv`` uses: arrays over the n environments. Beams detect other
+    robots, and bodies that collide push each other. A policy that all robots share can stack the
+    values of these dicts; independent policies can take one entry each.
 
     The arguments are those of ``LimSlamVectorEnv``, but for ``max_episode_steps``, and these:
 
@@ -202,7 +236,8 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
     num_envs
         How many environments there are.
     possible_agents, agents
-        Names of the robots. All of them act at each step: episodes end for all robots of an environment at once.
+        Names of the robots. All of them act at each step: episodes end for all robots of an
+        environment at once.
     """
 
     def __init__(
@@ -219,7 +254,10 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
         self._set_up(world, num_envs, num_robots, max_cycles, **arguments)
         self._shares_reward = shared_reward
         self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
+        self.single_action_space, self.single_observation_space = (
+            action_space(),
+            observation_space(self.robot),
+        )
         self._name(
             num_robots,
             lambda: batch_space(self.single_observation_space, self.num_envs),
@@ -231,10 +269,11 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, BatchObservation], dict[str, dict[str, Any]]]:
-        """Start new episodes, as ``LimSlamVectorEnv`` does, with a seed and options, and with its errors.
+        """Start new episodes, as ``LimSlamVectorEnv`` does, with a seed and options, and with its
+        errors.
 
-        The option ``start`` has poses (s, 3) of the first robots, m and rad, or such poses for each environment
-        (n, s, 3).
+        The option ``start`` has poses (s, 3) of the first robots, m and rad, or such poses for each
+        environment (n, s, 3).
         """
         generator = self._generator
         if seed is not None or generator is None:
@@ -253,7 +292,8 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
         dict[str, BoolArray],
         dict[str, dict[str, Any]],
     ]:
-        """Drive all robots for one control period; ``actions`` are (n, 2) for each, wheel speeds from -1 to 1.
+        """Drive all robots for one control period; ``actions`` are (n, 2) for each, wheel speeds
+        from -1 to 1.
 
         Raises
         ------
@@ -285,5 +325,7 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
 
 
 def parallel_vector_env(world: BatchSource = "env1", **arguments: Any) -> LimSlamParallelVectorEnv:
-    """A batch of environments for several robots; ``arguments`` are those of :class:`LimSlamParallelVectorEnv`."""
+    """A batch of environments for several robots; ``arguments`` are those of
+    :class:`LimSlamParallelVectorEnv`.
+    """
     return LimSlamParallelVectorEnv(world, **arguments)

@@ -1,4 +1,5 @@
-"""Wrappers around :class:`limslam_env.envs.env.LimSlamEnv` that are common in reinforcement learning.
+"""Wrappers around :class:`limslam_env.envs.env.LimSlamEnv` that are common in reinforcement
+learning.
 
 Flat vectors and stacked frames are Gymnasium's own wrappers, named here so that they are found:
 ``FlattenObservation(FrameStackObservation(env, 4))``.
@@ -41,12 +42,14 @@ FORWARD, LEFT, RIGHT = (1.0, 1.0), (-0.4, 0.4), (0.4, -0.4)
 
 
 class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation]):
-    """Ranges from 0 (a beam's shortest) to 1 (its longest, or nothing seen), wheel travel from -1 to 1.
+    """Ranges from 0 (a beam's shortest) to 1 (its longest, or nothing seen), wheel travel from -1
+    to 1.
 
     Parameters
     ----------
     env
-        An environment with ``ranges`` and ``wheels`` in its observation; other keys stay as they are.
+        An environment with ``ranges`` and ``wheels`` in its observation; other keys stay as they
+        are.
     """
 
     def __init__(self, env: Env) -> None:
@@ -64,14 +67,20 @@ class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation
         low, high = self._ranges.low, self._ranges.high
         ranges = np.clip((observation["ranges"] - low) / (high - low), 0.0, 1.0)
         wheels = np.clip(observation["wheels"] / self._wheels.high, -1.0, 1.0)
-        return {**observation, "ranges": ranges.astype(np.float32), "wheels": wheels.astype(np.float32)}
+        return {
+            **observation,
+            "ranges": ranges.astype(np.float32),
+            "wheels": wheels.astype(np.float32),
+        }
 
 
 class VelocityAction(gym.ActionWrapper[Observation, NDArray[np.floating[Any]], Any]):
-    """Act by (v, omega): speed ahead and rate of turn (counter-clockwise), each a fraction of its maximum, -1 to 1.
+    """Act by (v, omega): speed ahead and rate of turn (counter-clockwise), each a fraction of its
+    maximum, -1 to 1.
 
-    At 1 and 0 both wheels run at full speed ahead, at 0 and 1 they run against each other. Where both together ask
-    a wheel for more than it can, both are scaled down, so that the curve stays the same.
+    At 1 and 0 both wheels run at full speed ahead, at 0 and 1 they run against each other. Where
+    both together ask a wheel for more than it can, both are scaled down, so that the curve stays
+    the same.
     """
 
     def __init__(self, env: Env) -> None:
@@ -109,10 +118,16 @@ class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
         If the moves are no pairs from -1 to 1.
     """
 
-    def __init__(self, env: Env, moves: Sequence[tuple[float, float]] = (FORWARD, LEFT, RIGHT)) -> None:
+    def __init__(
+        self, env: Env, moves: Sequence[tuple[float, float]] = (FORWARD, LEFT, RIGHT)
+    ) -> None:
         super().__init__(env)
         self._moves = np.array(moves, dtype=np.float32)
-        if self._moves.ndim != 2 or self._moves.shape[1] != 2 or not (np.abs(self._moves) <= 1.0).all():
+        if (
+            self._moves.ndim != 2
+            or self._moves.shape[1] != 2
+            or not (np.abs(self._moves) <= 1.0).all()
+        ):
             raise ValueError(f"moves are pairs of wheel speeds from -1 to 1, not {moves!r}")
         self.action_space = spaces.Discrete(len(self._moves))  # type: ignore[assignment]
 
@@ -125,16 +140,19 @@ class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
             If there is no such move.
         """
         if not self.action_space.contains(action):
-            raise ValueError(f"an action is the number of a move, 0 to {len(self._moves) - 1}, not {action!r}")
+            raise ValueError(
+                f"an action is the number of a move, 0 to {len(self._moves) - 1}, not {action!r}"
+            )
         return np.array(self._moves[action])
 
 
 class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
-    """Add ``local_map``: the cells seen so far around the robot's true pose. **Privileged**: it uses the ground truth.
+    """Add ``local_map``: the cells seen so far around the robot's true pose. **Privileged**: it
+    uses the ground truth.
 
-    A picture (1, size, size), uint8, of 0.10 m cells with the robot in the middle, looking up: 0 where nothing has
-    been seen, 127 free, 255 walls. Good for teachers, upper bounds and debugging; an agent that is to run on a
-    robot must do without.
+    A picture (1, size, size), uint8, of 0.10 m cells with the robot in the middle, looking up: 0
+    where nothing has been seen, 127 free, 255 walls. Good for teachers, upper bounds and debugging;
+    an agent that is to run on a robot must do without.
 
     Parameters
     ----------
@@ -162,7 +180,9 @@ class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
         self._places, self._size = places_around(size, CELL), size
         self._walls = np.zeros((0, 0), dtype=bool)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observation, Any]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, Any]:
         """Start a new episode."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._walls = self._wall_cells()
@@ -171,7 +191,13 @@ class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
     def step(self, action: Any) -> tuple[Observation, SupportsFloat, bool, bool, Any]:
         """Drive for one control period."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        return {**observation, "local_map": self._local_map(info["pose"])}, reward, terminated, truncated, info
+        return (
+            {**observation, "local_map": self._local_map(info["pose"])},
+            reward,
+            terminated,
+            truncated,
+            info,
+        )
 
     def _wall_cells(self) -> BoolArray:
         grid = self._truth.coverage_grid
@@ -187,7 +213,9 @@ class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
         cells = np.where(seen, FREE, UNSEEN)
         cells[self._walls & ndimage.binary_dilation(seen, np.ones((3, 3), dtype=bool))] = WALL
         column, row = (
-            np.floor((transform_points(pose, self._places) - self._truth.coverage_grid.low) / CELL).astype(int).T
+            np.floor((transform_points(pose, self._places) - self._truth.coverage_grid.low) / CELL)
+            .astype(int)
+            .T
         )
         is_inside = (row >= 0) & (row < cells.shape[0]) & (column >= 0) & (column < cells.shape[1])
         picture = np.zeros(self._size**2, dtype=np.uint8)

@@ -7,4 +7,13 @@
 from limslam_env.geometry import line, se2, segment
 from limslam_env.geometry.arrays import BoolArray, FloatArray, IntArray, ReadingArray, no_rows
 
-__all__ = ["BoolArray", "FloatArray", "IntArray", "ReadingArray", "line", "no_rows", "se2", "segment"]
+__all__ = [
+    "BoolArray",
+    "FloatArray",
+    "IntArray",
+    "ReadingArray",
+    "line",
+    "no_rows",
+    "se2",
+    "segment",
+]

@@ -22,7 +22,8 @@ def angle_between(turn: FloatArray) -> FloatArray: ...
 def angle_between(turn: float | FloatArray) -> float | FloatArray:
     """The angle between two lines, rad, in [-pi / 2, pi / 2).
 
-    ``turn`` is the difference of their directions, rad. Half a turn leaves a line as it is, and so counts as none.
+    ``turn`` is the difference of their directions, rad. Half a turn leaves a line as it is, and so
+    counts as none.
     """
     return (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
 
@@ -95,7 +96,12 @@ def to_frame_jacobians(line: FloatArray, pose: FloatArray) -> tuple[FloatArray, 
     (r, theta), (x, y, _) = line.tolist(), pose.tolist()
     cos, sin = math.cos(theta), math.sin(theta)
     sign = -1.0 if r - x * cos - y * sin < 0.0 else 1.0
-    by_both = np.array([[-sign * cos, -sign * sin, 0.0, sign, sign * (x * sin - y * cos)], [0.0, 0.0, -1.0, 0.0, 1.0]])
+    by_both = np.array(
+        [
+            [-sign * cos, -sign * sin, 0.0, sign, sign * (x * sin - y * cos)],
+            [0.0, 0.0, -1.0, 0.0, 1.0],
+        ]
+    )
     return by_both[:, :3], by_both[:, 3:]
 
 
@@ -121,17 +127,23 @@ def direction(line: FloatArray) -> FloatArray:
 
 
 def distance(line: FloatArray, points: FloatArray) -> FloatArray:
-    """Signed distance (m) of points (n, 2) from one line, positive beyond it as seen from the origin."""
+    """Signed distance (m) of points (n, 2) from one line, positive beyond it as seen from the
+    origin.
+    """
     return np.asarray(points @ normal(line) - line[0])
 
 
 def along(line: FloatArray, points: FloatArray) -> FloatArray:
-    """Where points (n, 2) fall along one line: metres from the foot of the origin's perpendicular."""
+    """Where points (n, 2) fall along one line: metres from the foot of the origin's
+    perpendicular.
+    """
     return points @ direction(line)
 
 
 def at(line: FloatArray, position: FloatArray) -> FloatArray:
-    """Points (n, 2) on one line at the given positions (n,) along it: the inverse of :func:`along`."""
+    """Points (n, 2) on one line at the given positions (n,) along it: the inverse of
+    :func:`along`.
+    """
     return np.asarray(line[0] * normal(line) + np.multiply.outer(position, direction(line)))
 
 
@@ -144,4 +156,6 @@ def _pairs(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def _normalise_one(r: float, theta: float) -> FloatArray:
     # Single lines are looked at in every update; plain numbers take a tenth of the time.
-    return np.array([-r, wrap_angle(theta + math.pi)]) if r < 0.0 else np.array([r, wrap_angle(theta)])
+    return (
+        np.array([-r, wrap_angle(theta + math.pi)]) if r < 0.0 else np.array([r, wrap_angle(theta)])
+    )

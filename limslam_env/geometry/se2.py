@@ -21,7 +21,9 @@ def wrap_angle(angle: float) -> float: ...
 @overload
 def wrap_angle(angle: FloatArray) -> FloatArray: ...
 def wrap_angle(angle: float | FloatArray) -> float | FloatArray:
-    """Bring an angle, or an array of them, into (-pi, pi] (radians). Angles in this interval do not change."""
+    """Bring an angle, or an array of them, into (-pi, pi] (radians). Angles in this interval do not
+    change.
+    """
     wrapped = math.pi - (math.pi - angle) % _TAU
     # Just above pi the remainder rounds up to the full circle.
     if isinstance(wrapped, float):
@@ -42,7 +44,9 @@ def compose(first: FloatArray, second: FloatArray) -> FloatArray:
         # Single poses are composed at every step; plain numbers take a tenth of the time.
         (x0, y0, heading), (ahead, left, turn) = first.tolist(), second.tolist()
         c, s = math.cos(heading), math.sin(heading)
-        return np.array([x0 + c * ahead - s * left, y0 + s * ahead + c * left, wrap_angle(heading + turn)])
+        return np.array(
+            [x0 + c * ahead - s * left, y0 + s * ahead + c * left, wrap_angle(heading + turn)]
+        )
     cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
     x = first[..., 0] + cos * second[..., 0] - sin * second[..., 1]
     y = first[..., 1] + sin * second[..., 0] + cos * second[..., 1]
@@ -67,7 +71,9 @@ def compose_jacobians(first: FloatArray, second: FloatArray) -> tuple[FloatArray
     """Derivatives of ``compose(first, second)`` by ``first`` and by ``second``, each (3, 3)."""
     heading, x, y = float(first[2]), float(second[0]), float(second[1])
     cos, sin = math.cos(heading), math.sin(heading)
-    by_first = np.array([[1.0, 0.0, -sin * x - cos * y], [0.0, 1.0, cos * x - sin * y], [0.0, 0.0, 1.0]])
+    by_first = np.array(
+        [[1.0, 0.0, -sin * x - cos * y], [0.0, 1.0, cos * x - sin * y], [0.0, 0.0, 1.0]]
+    )
     by_second = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return by_first, by_second
 
@@ -80,7 +86,9 @@ def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
 
 
 def turned(covariances: FloatArray, heading: float) -> FloatArray:
-    """Covariances (..., 3, 3) of poses, as they are in a frame from which their own frame is turned by a heading."""
+    """Covariances (..., 3, 3) of poses, as they are in a frame from which their own frame is turned
+    by a heading.
+    """
     cos, sin = math.cos(heading), math.sin(heading)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(turn @ covariances @ turn.T)
@@ -107,11 +115,13 @@ def arc(distance: float, turn: float) -> FloatArray:
     return np.array([chord * math.cos(half), chord * math.sin(half), turn])
 
 
-def arc_end(x: float, y: float, heading: float, left: float, right: float, axle: float) -> tuple[float, float, float]:
+def arc_end(
+    x: float, y: float, heading: float, left: float, right: float, axle: float
+) -> tuple[float, float, float]:
     """The pose at the end of the arc that wheel travel makes of a pose; the heading wrapped.
 
-    Lengths in metres, ``left`` and ``right`` among them, angles in radians. See :func:`arc`; in plain numbers, since
-    this is done at every step, by compiled code too.
+    Lengths in metres, ``left`` and ``right`` among them, angles in radians. See :func:`arc`; in
+    plain numbers, since this is done at every step, by compiled code too.
     """
     half = 0.5 * (right - left) / axle
     chord = 0.5 * (left + right) * (math.sin(half) / half if abs(half) > 1e-6 else 1.0)
@@ -126,7 +136,9 @@ def arc_end(x: float, y: float, heading: float, left: float, right: float, axle:
 
 
 def arc_derivatives(distance: float, turn: float) -> tuple[tuple[float, float], ...]:
-    """Derivatives of x, y and heading of :func:`arc`, each by ``(distance, turn)``, in plain numbers."""
+    """Derivatives of x, y and heading of :func:`arc`, each by ``(distance, turn)``, in plain
+    numbers.
+    """
     half = 0.5 * turn
     cos, sin, sinc = math.cos(half), math.sin(half), _sinc(half)
     chord_by_turn = 0.5 * distance * _sinc_derivative(half)
@@ -144,13 +156,17 @@ def arc_jacobian(distance: float, turn: float) -> FloatArray:
 
 
 def wheels_to_arc(wheels: FloatArray, axle: float) -> tuple[float, float]:
-    """Distance (m) and turn (rad) of a differential drive from its left and right wheel travel (m)."""
+    """Distance (m) and turn (rad) of a differential drive from its left and right wheel travel
+    (m).
+    """
     left, right = float(wheels[0]), float(wheels[1])
     return 0.5 * (left + right), (right - left) / axle
 
 
 def driven(wheels: FloatArray, axle: float, start: FloatArray) -> FloatArray:
-    """Poses (n, 3) after each row of wheel travel (n, 2), m, that begins at a pose (3,): dead reckoning."""
+    """Poses (n, 3) after each row of wheel travel (n, 2), m, that begins at a pose (3,): dead
+    reckoning.
+    """
     poses, (x, y, heading) = np.empty((len(wheels), 3)), start.tolist()
     for number, (left, right) in enumerate(wheels.tolist()):
         x, y, heading = arc_end(x, y, heading, left, right, axle)

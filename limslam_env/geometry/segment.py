@@ -25,7 +25,9 @@ def polygon_edges(polygon: FloatArray) -> FloatArray:
     return np.hstack((polygon, np.roll(polygon, -1, axis=0)))
 
 
-def inside_polygon(points: FloatArray, polygon: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def inside_polygon(
+    points: FloatArray, polygon: FloatArray
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which points (n, 2) lie inside a simple polygon (k, 2), by the crossing-number rule."""
     x, y = points[:, 0, None], points[:, 1, None]
     x1, y1, x2, y2 = polygon_edges(polygon).T
@@ -35,7 +37,9 @@ def inside_polygon(points: FloatArray, polygon: FloatArray) -> np.ndarray[tuple[
     return np.asarray(np.sum(straddles & (x < crossing), axis=1) % 2 == 1)
 
 
-def sample(segments: FloatArray, spacing: float) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
+def sample(
+    segments: FloatArray, spacing: float
+) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.intp]]]:
     """Points on each segment, evenly spaced and at most ``spacing`` (m) apart, ends included.
 
     Returns

@@ -22,16 +22,19 @@ def ellipse(covariance: FloatArray, corners: int) -> FloatArray:
 
 
 def thinned(path: FloatArray, most: int) -> FloatArray:
-    """A path (k, 2) reduced to about ``most`` points and its last point, so that long paths are drawn quickly."""
+    """A path (k, 2) reduced to about ``most`` points and its last point, so that long paths are
+    drawn quickly.
+    """
     every = -(-len(path) // most)
     return path if every <= 1 else np.vstack((path[:-1:every], path[-1:]))
 
 
 def places_around(size: int, cell: float) -> FloatArray:
-    """Middles (size * size, 2), m, of the cells of a square picture around a robot, in the robot's frame.
+    """Middles (size * size, 2), m, of the cells of a square picture around a robot, in the robot's
+    frame.
 
-    The picture looks up: row 0 lies ahead, column 0 to the left; x of the robot's frame is ahead, y left. ``cell`` is
-    the side of a cell, m.
+    The picture looks up: row 0 lies ahead, column 0 to the left; x of the robot's frame is ahead, y
+    left. ``cell`` is the side of a cell, m.
     """
     offsets = (0.5 * (size - 1) - np.arange(size)) * cell
     ahead, left = np.meshgrid(offsets, offsets, indexing="ij")

@@ -1,1 +1,3 @@
-"""Compiled inner loops: rays, readings, contact, random numbers, coverage, and the step of a batch."""
+"""Compiled inner loops: rays, readings, contact, random numbers, coverage, and the step of a
+batch.
+"""

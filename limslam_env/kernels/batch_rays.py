@@ -1,7 +1,7 @@
 """The rays of the robots in a batch: what they meet, and which unseen cells they cross.
 
-The rays of a robot are processed side by side: each has a *lane*, a column of some arrays. Loops over lanes have no
-branches, so that the compiler takes several lanes at once.
+The rays of a robot are processed side by side: each has a *lane*, a column of some arrays. Loops
+over lanes have no branches, so that the compiler takes several lanes at once.
 """
 
 import math
@@ -22,8 +22,8 @@ MOST_LANES = 64
 
 _NONE, _ONE, _ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
 
-# Cells, for rounding: a look for unseen cells may take in more cells than a ray crosses, but no less. It has to be far
-# less than a ray's margin, or the cells behind walls would be looked at.
+# Cells, for rounding: a look for unseen cells may take in more cells than a ray crosses, but no
+# less. It has to be far less than a ray's margin, or the cells behind walls would be looked at.
 _LOOK_MARGIN = 1e-9
 
 # Much more than the slack at the ends of walls, and than what rounding changes.
@@ -31,24 +31,45 @@ _DOUBT = 1e-8
 
 
 @merged
-def aim(fan: FloatArray, body_x: float, body_y: float, heading: float, aims: FloatArray, rays: FloatArray) -> None:
-    """Set ``aims`` (4, lanes) to the origins x and y (m) of a robot's rays, and to the rays' directions.
+def aim(
+    fan: FloatArray,
+    body_x: float,
+    body_y: float,
+    heading: float,
+    aims: FloatArray,
+    rays: FloatArray,
+) -> None:
+    """Set ``aims`` (4, lanes) to the origins x and y (m) of a robot's rays, and to the rays'
+    directions.
 
-    Also sets ``rays`` to rays that meet nothing. ``fan`` is that of :class:`limslam_env.kernels.batch_state.Robots`.
+    Also sets ``rays`` to rays that meet nothing. ``fan`` is that of
+    :class:`limslam_env.kernels.batch_state.Robots`.
     """
     cos, sin = math.cos(heading), math.sin(heading)
-    # Each loop has few rows: the compiler must check that they do not overlap, and gives up where there are many.
+    # Each loop has few rows: the compiler must check that they do not overlap, and gives up where
+    # there are many.
     for lane in range(fan.shape[1]):
         rays[0, lane], rays[1, lane] = fan[3, lane], NOTHING
     for lane in range(fan.shape[1]):
         aims[2, lane] = cos * fan[4, lane] - sin * fan[5, lane] + fan[6, lane]
     for lane in range(fan.shape[1]):
         aims[3, lane] = sin * fan[4, lane] + cos * fan[5, lane] + fan[6, lane]
-    # The rim may touch a wall, and a ray from the rim could start behind the wall: rays start inside the body.
+    # The rim may touch a wall, and a ray from the rim could start behind the wall: rays start
+    # inside the body.
     for lane in range(fan.shape[1]):
-        aims[0, lane] = body_x + fan[7, lane] + (cos * fan[0, lane] - sin * fan[1, lane]) - fan[2, lane] * aims[2, lane]
+        aims[0, lane] = (
+            body_x
+            + fan[7, lane]
+            + (cos * fan[0, lane] - sin * fan[1, lane])
+            - fan[2, lane] * aims[2, lane]
+        )
     for lane in range(fan.shape[1]):
-        aims[1, lane] = body_y + fan[7, lane] + (sin * fan[0, lane] + cos * fan[1, lane]) - fan[2, lane] * aims[3, lane]
+        aims[1, lane] = (
+            body_y
+            + fan[7, lane]
+            + (sin * fan[0, lane] + cos * fan[1, lane])
+            - fan[2, lane] * aims[3, lane]
+        )
 
 
 @merged
@@ -61,7 +82,8 @@ def cast_fan(
     near_edges: NDArray[np.uint16],
     rays: FloatArray,
 ) -> None:
-    """Shorten ``rays`` (4, lanes) to the lengths of a robot's rays, m, and set the walls that they hit.
+    """Shorten ``rays`` (4, lanes) to the lengths of a robot's rays, m, and set the walls that they
+    hit.
 
     Lengths and walls are in the first two rows; the others are scratch memory.
     """
@@ -70,12 +92,14 @@ def cast_fan(
         edge = first_edge + int(near_edges[item])
         x, y = edges[edge, 0], edges[edge, 1]
         ex, ey, which = edges[edge, 2] - x, edges[edge, 3] - y, float(edge)
-        # What was nearest so far is read from one half of the rows and written to the other half: the compiler would
-        # store some lanes only, and the next wall would have to wait for such a store.
+        # What was nearest so far is read from one half of the rows and written to the other half:
+        # the compiler would store some lanes only, and the next wall would have to wait for such a
+        # store.
         start, end, doubt = 2 * half, 2 - 2 * half, 0
         half = 1 - half
         for lane in range(rays.shape[1]):
-            # As ``meeting``, but a division takes longer than all the rest, and most need no second one.
+            # As ``meeting``, but a division takes longer than all the rest, and most need no second
+            # one.
             ax, ay, dx, dy = x - aims[0, lane], y - aims[1, lane], aims[2, lane], aims[3, lane]
             cross, across = dx * ey - dy * ex, ax * dy - ay * dx
             share, whole = (across if cross > 0.0 else -across), abs(cross)
@@ -98,7 +122,9 @@ def cast_at_end(edge: int, row: int, aims: FloatArray, edges: FloatArray, rays: 
     x, y = edges[edge, 0], edges[edge, 1]
     ex, ey = edges[edge, 2] - x, edges[edge, 3] - y
     for lane in range(rays.shape[1]):
-        distance, is_met = meeting(x - aims[0, lane], y - aims[1, lane], ex, ey, aims[2, lane], aims[3, lane])
+        distance, is_met = meeting(
+            x - aims[0, lane], y - aims[1, lane], ex, ey, aims[2, lane], aims[3, lane]
+        )
         if is_met and distance < rays[row, lane]:
             rays[row, lane], rays[row + 1, lane] = distance, float(edge)
 
@@ -117,8 +143,8 @@ def find_unseen(
 ) -> np.uint64:
     """Where there are unseen cells around the rays of a robot: a bit for each lane.
 
-    ``low_x`` and ``low_y`` (m) are the corner of the cells, ``cell`` (m) their side. A robot covers cells in this
-    step, too: a ray may find none left where this function has found some.
+    ``low_x`` and ``low_y`` (m) are the corner of the cells, ``cell`` (m) their side. A robot covers
+    cells in this step, too: a ray may find none left where this function has found some.
     """
     per_metre, found = 1.0 / cell, _NONE
     for lane in range(rays.shape[1]):
@@ -126,9 +152,15 @@ def find_unseen(
         end = rays[0, lane] * per_metre - RAY_MARGIN
         far_x, far_y = from_x + aims[2, lane] * end, from_y + aims[3, lane] * end
         nearby = unseen_nearby(
-            unseen, env, tile_columns, tile_rows, min(from_x, far_x) - _LOOK_MARGIN, min(from_y, far_y) - _LOOK_MARGIN,
-            max(from_x, far_x) + _LOOK_MARGIN, max(from_y, far_y) + _LOOK_MARGIN,
-        )  # fmt: skip
+            unseen,
+            env,
+            tile_columns,
+            tile_rows,
+            min(from_x, far_x) - _LOOK_MARGIN,
+            min(from_y, far_y) - _LOOK_MARGIN,
+            max(from_x, far_x) + _LOOK_MARGIN,
+            max(from_y, far_y) + _LOOK_MARGIN,
+        )
         found |= (_ONE if nearby != _NONE else _NONE) << np.uint64(lane)
     return found
 
@@ -144,7 +176,9 @@ def cast_on(
     aims: FloatArray,
     rays: FloatArray,
 ) -> None:
-    """Cast what :func:`cast_fan` did not: rays among walls that are not listed as near, and rays that meet robots."""
+    """Cast what :func:`cast_fan` did not: rays among walls that are not listed as near, and rays
+    that meet robots.
+    """
     for number in range(len(robots.beams)):
         if not is_due(robots.beams, number, step):
             continue
@@ -171,10 +205,11 @@ def cover(
     unseen: Words,
     scratch: Scratch,
 ) -> int:
-    """Take what a robot at (x, y), m, and its rays see out of the unseen cells; returns how many cells there were.
+    """Take what a robot at (x, y), m, and its rays see out of the unseen cells; returns how many
+    cells there were.
 
-    ``found`` has a bit for each beam, and one for the body: whether there may be unseen cells. ``is_looked_for`` is
-    whether :func:`find_unseen` has set them.
+    ``found`` has a bit for each beam, and one for the body: whether there may be unseen cells.
+    ``is_looked_for`` is whether :func:`find_unseen` has set them.
     """
     beams, aims, rays = robots.beams, scratch.aims, scratch.rays
     low_x, low_y, cell = worlds.areas[world, 0], worlds.areas[world, 1], worlds.areas[world, 2]
@@ -188,7 +223,11 @@ def cover(
             continue
         if not is_due(beams, number, step):
             continue
-        x, y, end = (aims[0, number] - low_x) / cell, (aims[1, number] - low_y) / cell, rays[0, number] / cell
+        x, y, end = (
+            (aims[0, number] - low_x) / cell,
+            (aims[1, number] - low_y) / cell,
+            rays[0, number] / cell,
+        )
         dx, dy = aims[2, number], aims[3, number]
         new += walk_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
     return new
@@ -209,22 +248,37 @@ def trace(
 ) -> int:
     """Set the rays of a robot, and count the cells that it is the first to see.
 
-    ``poses`` (m, 3) are those of its environment. Only the rays of beams that measure in this step are complete.
+    ``poses`` (m, 3) are those of its environment. Only the rays of beams that measure in this step
+    are complete.
     """
     aims, rays, layout = scratch.aims, scratch.rays, worlds.layout
-    x, y, near_cell, cell = poses[robot, 0], poses[robot, 1], layout[world, 6], worlds.areas[world, 2]
+    x, y, near_cell, cell = (
+        poses[robot, 0],
+        poses[robot, 1],
+        layout[world, 6],
+        worlds.areas[world, 2],
+    )
     aim(robots.fan, x, y, poses[robot, 2], aims, rays)
     if near_cell >= 0:
         column = min(max(floored((x - walls.low_x) / walls.side), 0), walls.columns - 1)
         row = min(max(floored((y - walls.low_y) / walls.side), 0), walls.rows - 1)
         listed = near_cell + row * walls.columns + column
-        cast_fan(listed, layout[world, 0], aims, walls.edges, worlds.near_starts, worlds.near_edges, rays)
+        cast_fan(
+            listed, layout[world, 0], aims, walls.edges, worlds.near_starts, worlds.near_edges, rays
+        )
     is_looked_for, found = robots.is_small and near_cell >= 0, _ALL
     if is_looked_for:
         found = find_unseen(
-            env, unseen, layout[world, 4], layout[world, 5], worlds.areas[world, 0], worlds.areas[world, 1], cell,
-            aims, rays,
-        )  # fmt: skip
+            env,
+            unseen,
+            layout[world, 4],
+            layout[world, 5],
+            worlds.areas[world, 0],
+            worlds.areas[world, 1],
+            cell,
+            aims,
+            rays,
+        )
     if near_cell < 0 or len(poses) > 1:
         cast_on(robot, step, near_cell < 0, robots, walls, poses, aims, rays)
     return cover(env, world, step, x, y, is_looked_for, found, robots, worlds, unseen, scratch)
@@ -232,16 +286,37 @@ def trace(
 
 @merged
 def widen(
-    robot: int, step: int, cone: float, robots: Robots, walls: Walls, poses: FloatArray, scratch: Scratch
+    robot: int,
+    step: int,
+    cone: float,
+    robots: Robots,
+    walls: Walls,
+    poses: FloatArray,
+    scratch: Scratch,
 ) -> None:
-    """Let each beam of a robot end at the nearest of what the rays of its cone meet (:func:`nearest_in_cone`)."""
+    """Let each beam of a robot end at the nearest of what the rays of its cone meet
+    (:func:`nearest_in_cone`).
+    """
     beams, aims, rays = robots.beams, scratch.aims, scratch.rays
     for number in range(len(beams)):
         if not is_due(beams, number, step):
             continue
         offset, reach = beams[number, OFFSET], beams[number, LONGEST_RANGE] + beams[number, OFFSET]
-        x, y = aims[0, number] + offset * aims[2, number], aims[1, number] + offset * aims[3, number]
+        x, y = (
+            aims[0, number] + offset * aims[2, number],
+            aims[1, number] + offset * aims[3, number],
+        )
         rays[0, number], rays[1, number] = nearest_in_cone(
-            robot, rays[0, number], int(rays[1, number]), x, y, poses[robot, 2] + beams[number, ANGLE],
-            offset, reach, cone, robots.radius, poses, walls,
-        )  # fmt: skip
+            robot,
+            rays[0, number],
+            int(rays[1, number]),
+            x,
+            y,
+            poses[robot, 2] + beams[number, ANGLE],
+            offset,
+            reach,
+            cone,
+            robots.radius,
+            poses,
+            walls,
+        )

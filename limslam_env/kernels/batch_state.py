@@ -1,4 +1,6 @@
-"""The arrays that the step of a batch works on, for n environments with m robots each in w worlds."""
+"""The arrays that the step of a batch works on, for n environments with m robots each in w
+worlds.
+"""
 
 from typing import NamedTuple
 
@@ -23,9 +25,11 @@ class Robots(NamedTuple):
     control_period
         Duration of a step, s.
     beams, fan
-        (n_beams, 11), see :mod:`limslam_env.kernels.readings`; and (8, lanes), as :func:`fan_of` makes it of them.
+        (n_beams, 11), see :mod:`limslam_env.kernels.readings`; and (8, lanes), as :func:`fan_of`
+        makes it of them.
     is_small
-        Whether :func:`limslam_env.kernels.batch_rays.find_unseen` can look at the body and at the beams.
+        Whether :func:`limslam_env.kernels.batch_rays.find_unseen` can look at the body and at the
+        beams.
     """
 
     wheel_travel: float
@@ -42,17 +46,20 @@ class Worlds(NamedTuple):
     Attributes
     ----------
     layout
-        (w, 7): a world's first edge and first cell in the lists, the columns and rows of its cells, the columns and
-        rows of its tiles, and its first cell in the lists of near walls, or -1 if it has none.
+        (w, 7): a world's first edge and first cell in the lists, the columns and rows of its cells,
+        the columns and rows of its tiles, and its first cell in the lists of near walls, or -1 if
+        it has none.
     grids, areas
-        (w, 3): lower left corner x, y and cell side of the grid of walls and of the coverage grid, m.
+        (w, 3): lower left corner x, y and cell side of the grid of walls and of the coverage grid,
+        m.
     edges, cell_starts, cell_edges
         Walls sorted into cells (:class:`limslam_env.kernels.rays.Walls`).
     near_starts, near_edges
-        The walls within the beams' reach of each cell, in worlds where these walls are few; counted from the world's
-        first edge, in two bytes each, since they are most of a world's memory.
+        The walls within the beams' reach of each cell, in worlds where these walls are few; counted
+        from the world's first edge, in two bytes each, since they are most of a world's memory.
     coverable, totals
-        (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.coverage`); (w,): how many.
+        (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.coverage`);
+        (w,): how many.
     """
 
     layout: IntArray
@@ -73,19 +80,23 @@ class Episodes(NamedTuple):
     Attributes
     ----------
     world_of, keys, steps
-        (n,): the world of each environment, the key of its episode's random numbers, and the number of steps so far.
+        (n,): the world of each environment, the key of its episode's random numbers, and the number
+        of steps so far.
     noise
         (n, 14), see :mod:`limslam_env.kernels.readings`.
     clearances
-        (n,), distance that the robots can travel, all told, before one of them may touch something, m.
+        (n,), distance that the robots can travel, all told, before one of them may touch something,
+        m.
     poses, contact
         (n, m, 3), m and rad; and which robots touched something (n, m).
     wheels, unreported
         (n, m, 2): wheel travel that the encoders report, and what they have not reported so far, m.
     unseen, covered
-        Tiles with the coverable cells that have not been seen (n, t), and how many have been seen (n,).
+        Tiles with the coverable cells that have not been seen (n, t), and how many have been seen
+        (n,).
     hits, ranges
-        (n, m, n_beams): the wall that each beam hit, and its reading, m. Beams that do not measure keep theirs.
+        (n, m, n_beams): the wall that each beam hit, and its reading, m. Beams that do not measure
+        keep theirs.
     """
 
     world_of: IntArray
@@ -111,7 +122,8 @@ class Task(NamedTuple):
     new_area, step, collision
         The weights of :class:`limslam_env.config.RewardConfig`.
     goal, max_steps
-        Coverage at which an episode terminates, more than 1 if it never does; steps after which it is truncated.
+        Coverage at which an episode terminates, more than 1 if it never does; steps after which it
+        is truncated.
     """
 
     new_area: float
@@ -122,7 +134,8 @@ class Task(NamedTuple):
 
 
 class Results(NamedTuple):
-    """What a step hands out, in new arrays: readings, rewards, ends, and the fields of ``simulation.Truth``.
+    """What a step hands out, in new arrays: readings, rewards, ends, and the fields of
+    ``simulation.Truth``.
 
     Attributes
     ----------
@@ -154,8 +167,8 @@ class Settings(NamedTuple):
     Attributes
     ----------
     lowest, spans, places
-        (14,): the least value of each column of :mod:`limslam_env.kernels.readings`, how much larger it may be, and
-        which of an environment's random numbers it depends on.
+        (14,): the least value of each column of :mod:`limslam_env.kernels.readings`, how much
+        larger it may be, and which of an environment's random numbers it depends on.
     """
 
     lowest: FloatArray
@@ -171,8 +184,9 @@ class Starts(NamedTuple):
     given, num_given
         (w, m, 3): known poses, m and rad; and how many of them there are (w,).
     runs, firsts, counts, spaces
-        The free cells as :func:`limslam_env.kernels.random_numbers.draw_start` takes them: the runs (r, 2) of one world
-        after those of another and a world's first run (w + 1,), the number of cells (w,), and their grids (w, 4).
+        The free cells as :func:`limslam_env.kernels.random_numbers.draw_start` takes them: the runs
+        (r, 2) of one world after those of another and a world's first run (w + 1,), the number of
+        cells (w,), and their grids (w, 4).
     apart
         Least distance of two robots, m.
     """
@@ -194,12 +208,14 @@ class Scratch(NamedTuple):
     aims
         (4, lanes): where the rays of a robot start, x and y (m), and their directions.
     rays
-        (4, lanes): lengths of the rays, m, and the walls that they hit, or -1; two more rows to work with.
+        (4, lanes): lengths of the rays, m, and the walls that they hit, or -1; two more rows to
+        work with.
     turned, travel, before
-        (m, 2): how far each wheel turned, and how far it moved on the floor, m, which is less where it slipped; and
-        positions before the latest move, m.
+        (m, 2): how far each wheel turned, and how far it moved on the floor, m, which is less where
+        it slipped; and positions before the latest move, m.
     deep, new_cells
-        (m,): which robots overlap something too far, and how many coverable cells each was the first to see.
+        (m,): which robots overlap something too far, and how many coverable cells each was the
+        first to see.
     """
 
     aims: FloatArray
@@ -216,7 +232,9 @@ def scratch_for(num_robots: int, num_beams: int) -> Scratch:
     lanes = lanes_for(num_beams)
     turned, travel, before = (np.zeros((num_robots, 2)) for _ in range(3))
     deep, new_cells = np.zeros(num_robots, dtype=bool), np.zeros(num_robots, dtype=np.int64)
-    return Scratch(np.zeros((4, lanes)), np.zeros((4, lanes)), turned, travel, before, deep, new_cells)
+    return Scratch(
+        np.zeros((4, lanes)), np.zeros((4, lanes)), turned, travel, before, deep, new_cells
+    )
 
 
 def lanes_for(num_beams: int) -> int:
@@ -225,15 +243,21 @@ def lanes_for(num_beams: int) -> int:
 
 
 def fan_of(beams: FloatArray, radius: float) -> FloatArray:
-    """The beams (n_beams, 11) lane by lane, and in the other lanes a ray in the diagonal of a body's box.
+    """The beams (n_beams, 11) lane by lane, and in the other lanes a ray in the diagonal of a
+    body's box.
 
-    Rows (8, lanes): origin x and y (m) in the robot's frame, how far before it the ray starts, and its length, m; the
-    direction in the robot's frame, what is added to its x and y in the world's frame, and to those of the origin, m.
-    The diagonal has a negative length, from the upper right to the lower left: walls do not shorten it.
+    Rows (8, lanes): origin x and y (m) in the robot's frame, how far before it the ray starts, and
+    its length, m; the direction in the robot's frame, what is added to its x and y in the world's
+    frame, and to those of the origin, m. The diagonal has a negative length, from the upper right
+    to the lower left: walls do not shorten it.
     """
     fan = np.zeros((8, lanes_for(len(beams))))
     count = len(beams)
-    fan[0, :count], fan[1, :count], fan[2, :count] = beams[:, FROM_X], beams[:, FROM_Y], beams[:, OFFSET]
+    fan[0, :count], fan[1, :count], fan[2, :count] = (
+        beams[:, FROM_X],
+        beams[:, FROM_Y],
+        beams[:, OFFSET],
+    )
     fan[3, :count] = beams[:, LONGEST_RANGE] + beams[:, OFFSET]
     fan[4, :count], fan[5, :count] = beams[:, TOWARDS_X], beams[:, TOWARDS_Y]
     fan[3, count:], fan[6, count:], fan[7, count:] = -2.0 * radius, 1.0, radius

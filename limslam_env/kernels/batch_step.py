@@ -1,4 +1,6 @@
-"""A step of many environments at once. Rays, readings and encoders are those of the single environment."""
+"""A step of many environments at once. Rays, readings and encoders are those of the single
+environment.
+"""
 
 import numpy as np
 
@@ -41,15 +43,26 @@ def prefetch_unseen(env: int, worlds: Worlds, episodes: Episodes) -> None:
 def world_walls(worlds: Worlds, world: int) -> Walls:
     """The walls of one world."""
     return Walls(
-        worlds.edges, worlds.cell_starts, worlds.cell_edges,
-        worlds.grids[world, 0], worlds.grids[world, 1], worlds.grids[world, 2],
-        worlds.layout[world, 2], worlds.layout[world, 3], worlds.layout[world, 1],
-    )  # fmt: skip
+        worlds.edges,
+        worlds.cell_starts,
+        worlds.cell_edges,
+        worlds.grids[world, 0],
+        worlds.grids[world, 1],
+        worlds.grids[world, 2],
+        worlds.layout[world, 2],
+        worlds.layout[world, 3],
+        worlds.layout[world, 1],
+    )
 
 
 @merged
 def turn_wheels(
-    env: int, state: np.uint64, actions: FloatArray, most: float, noise: FloatArray, scratch: Scratch
+    env: int,
+    state: np.uint64,
+    actions: FloatArray,
+    most: float,
+    noise: FloatArray,
+    scratch: Scratch,
 ) -> float:
     """Set how far the wheels turn and travel; returns the longest way of a robot, m.
 
@@ -70,27 +83,48 @@ def turn_wheels(
 
 
 @merged
-def move(env: int, longest: float, radius: float, walls: Walls, episodes: Episodes, scratch: Scratch) -> None:
-    """Move the robots of one environment along their arcs, and separate them from what they touch."""
-    poses, clearances, before, travel = episodes.poses, episodes.clearances, scratch.before, scratch.travel
+def move(
+    env: int, longest: float, radius: float, walls: Walls, episodes: Episodes, scratch: Scratch
+) -> None:
+    """Move the robots of one environment along their arcs, and separate them from what they
+    touch.
+    """
+    poses, clearances, before, travel = (
+        episodes.poses,
+        episodes.clearances,
+        scratch.before,
+        scratch.travel,
+    )
     # A move of more than the radius could end beyond a wall; an arc in parts is the same arc.
     parts = 1 if longest <= LONGEST_MOVE * radius else -floored(-longest / (LONGEST_MOVE * radius))
     for _ in range(parts):
         for robot in range(len(travel)):
             before[robot, 0], before[robot, 1] = poses[env, robot, 0], poses[env, robot, 1]
             poses[env, robot, 0], poses[env, robot, 1], poses[env, robot, 2] = arc_end(
-                before[robot, 0], before[robot, 1], poses[env, robot, 2],
-                travel[robot, 0] / parts, travel[robot, 1] / parts, episodes.noise[env, tables.TRUE_AXLE],
-            )  # fmt: skip
+                before[robot, 0],
+                before[robot, 1],
+                poses[env, robot, 2],
+                travel[robot, 0] / parts,
+                travel[robot, 1] / parts,
+                episodes.noise[env, tables.TRUE_AXLE],
+            )
         # Two robots may approach each other.
         clearances[env] -= (1.0 if len(travel) == 1 else 2.0) * longest / parts
         if clearances[env] <= 0.0:
-            clearances[env] = separate(poses[env], before, scratch.deep, radius, episodes.contact[env], walls)
+            clearances[env] = separate(
+                poses[env], before, scratch.deep, radius, episodes.contact[env], walls
+            )
 
 
 @merged
 def read_beams(
-    env: int, robot: int, own: np.uint64, first_edge: int, robots: Robots, episodes: Episodes, scratch: Scratch
+    env: int,
+    robot: int,
+    own: np.uint64,
+    first_edge: int,
+    robots: Robots,
+    episodes: Episodes,
+    scratch: Scratch,
 ) -> None:
     """Set the readings of a robot's beams that measure in this step, and the walls that they hit.
 
@@ -109,26 +143,41 @@ def read_beams(
             uniform = unit(mixed(own + (place + _ONE) * GOLDEN))
         episodes.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
         episodes.ranges[env, robot, number] = noisy_reading(
-            rays[0, number] - beams[number, tables.OFFSET], hit,
-            beams[number, tables.SHORTEST_RANGE], beams[number, tables.LONGEST_RANGE],
-            noise[env, tables.RANGE_STD], noise[env, tables.STD_GROWTH], noise[env, tables.DROPOUT],
-            noise[env, tables.RANGE_RESOLUTION], noise[env, tables.FOLD_BACK], random, uniform,
-        )  # fmt: skip
+            rays[0, number] - beams[number, tables.OFFSET],
+            hit,
+            beams[number, tables.SHORTEST_RANGE],
+            beams[number, tables.LONGEST_RANGE],
+            noise[env, tables.RANGE_STD],
+            noise[env, tables.STD_GROWTH],
+            noise[env, tables.DROPOUT],
+            noise[env, tables.RANGE_RESOLUTION],
+            noise[env, tables.FOLD_BACK],
+            random,
+            uniform,
+        )
 
 
 @merged
-def read_encoders(env: int, robot: int, own: np.uint64, episodes: Episodes, turned_by: FloatArray) -> None:
-    """Set the wheel travel that a robot's encoders report for wheels that ``turned_by`` (m, 2), m."""
+def read_encoders(
+    env: int, robot: int, own: np.uint64, episodes: Episodes, turned_by: FloatArray
+) -> None:
+    """Set the wheel travel that a robot's encoders report for wheels that ``turned_by`` (m, 2),
+    m.
+    """
     noise, unreported = episodes.noise, episodes.unreported
     for wheel in range(2):
         random = 0.0
         if turned_by[robot, wheel] != 0.0 and noise[env, tables.WHEEL_VARIANCE] > 0.0:
             random = normal(mixed(own + np.uint64(2 * wheel) * GOLDEN))
         episodes.wheels[env, robot, wheel], unreported[env, robot, wheel] = reported_travel(
-            turned_by[robot, wheel], unreported[env, robot, wheel],
-            noise[env, tables.LEFT_WHEEL + wheel], noise[env, tables.WHEEL_VARIANCE],
-            noise[env, tables.ENCODER_RESOLUTION], noise[env, tables.LARGEST_TRAVEL], random,
-        )  # fmt: skip
+            turned_by[robot, wheel],
+            unreported[env, robot, wheel],
+            noise[env, tables.LEFT_WHEEL + wheel],
+            noise[env, tables.WHEEL_VARIANCE],
+            noise[env, tables.ENCODER_RESOLUTION],
+            noise[env, tables.LARGEST_TRAVEL],
+            random,
+        )
 
 
 @merged
@@ -181,7 +230,13 @@ def begin(env: int, world: int, worlds: Worlds, episodes: Episodes, scratch: Scr
 
 @merged
 def advance_one(
-    env: int, task: int, actions: FloatArray, robots: Robots, worlds: Worlds, episodes: Episodes, scratch: Scratch
+    env: int,
+    task: int,
+    actions: FloatArray,
+    robots: Robots,
+    worlds: Worlds,
+    episodes: Episodes,
+    scratch: Scratch,
 ) -> None:
     """Drive one environment, or begin its episode, and take all its measurements."""
     world = episodes.world_of[env]
@@ -200,7 +255,7 @@ def advance_one(
         own, poses = state + np.uint64(robot << 20) * GOLDEN, episodes.poses[env]
         scratch.new_cells[robot] = trace(
             env, robot, world, step, robots, worlds, walls, poses, episodes.unseen, scratch
-        )  # fmt: skip
+        )
         if episodes.noise[env, tables.CONE] > 0.0:
             widen(robot, step, episodes.noise[env, tables.CONE], robots, walls, poses, scratch)
         read_beams(env, robot, own, worlds.layout[world, 0], robots, episodes, scratch)
@@ -220,15 +275,17 @@ def advance(
     task: Task,
     results: Results,
 ) -> None:
-    """Drive all environments, and take all measurements of them; changes ``episodes`` and sets all ``results``.
+    """Drive all environments, and take all measurements of them; changes ``episodes`` and sets all
+    ``results``.
 
-    Several threads may do this at the same time. Each takes the next portion when it has done one, so that a thread
-    whose core is busy does not hold up the others.
+    Several threads may do this at the same time. Each takes the next portion when it has done one,
+    so that a thread whose core is busy does not hold up the others.
 
     Parameters
     ----------
     begun, portion
-        How many portions have been begun (1,), 0 at first and shared by the threads; and environments in a portion.
+        How many portions have been begun (1,), 0 at first and shared by the threads; and
+        environments in a portion.
     scratch
         Memory of its own for each thread (:func:`limslam_env.kernels.batch_state.scratch_for`).
     tasks

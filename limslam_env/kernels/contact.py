@@ -1,4 +1,6 @@
-"""Contact of round robots with walls and with each other: the compiled counterpart of ``simulation.physics``."""
+"""Contact of round robots with walls and with each other: the compiled counterpart of
+``simulation.physics``.
+"""
 
 import math
 
@@ -10,7 +12,9 @@ TOUCH = 1e-5
 """Largest gap that counts as contact, m."""
 
 MAX_PUSHES = 24
-"""Number of pushes in a step before robots that still overlap something return to their last position."""
+"""Number of pushes in a step before robots that still overlap something return to their last
+position.
+"""
 
 DEEPEST = 5e-4
 """Overlap that is tolerated, m."""
@@ -24,8 +28,15 @@ _OUTLOOK = 0.3
 
 @merged
 def nearest_wall(x: float, y: float, outlook: float, walls: Walls) -> tuple[float, float, float]:
-    """Distance (m) of the nearest wall and the unit vector from it; ``outlook`` (m) and 0 if no wall is that near."""
-    edges, cell_starts, cell_edges, side = walls.edges, walls.cell_starts, walls.cell_edges, walls.side
+    """Distance (m) of the nearest wall and the unit vector from it; ``outlook`` (m) and 0 if no
+    wall is that near.
+    """
+    edges, cell_starts, cell_edges, side = (
+        walls.edges,
+        walls.cell_starts,
+        walls.cell_edges,
+        walls.side,
+    )
     best, best_x, best_y, normal_x, normal_y = outlook * outlook, 0.0, 0.0, 0.0, 0.0
     first = max(floored((x - outlook - walls.low_x) / side), 0)
     last = min(floored((x + outlook - walls.low_x) / side), walls.columns - 1)
@@ -58,7 +69,9 @@ def nearest_wall(x: float, y: float, outlook: float, walls: Walls) -> tuple[floa
 def nearest_thing(
     robot: int, places: FloatArray, radius: float, outlook: float, walls: Walls
 ) -> tuple[float, float, float, int]:
-    """As :func:`nearest_wall`, for walls and other robots around one robot; and which robot it is, or -1."""
+    """As :func:`nearest_wall`, for walls and other robots around one robot; and which robot it is,
+    or -1.
+    """
     x, y = places[robot, 0], places[robot, 1]
     distance, away_x, away_y = nearest_wall(x, y, outlook, walls)
     which = -1
@@ -73,13 +86,19 @@ def nearest_thing(
 
 @compiled
 def separate(  # noqa: C901 (walls, robots, and pushes that do not converge)
-    places: FloatArray, before: FloatArray, deep: BoolArray, radius: float, contact: BoolArray, walls: Walls
+    places: FloatArray,
+    before: FloatArray,
+    deep: BoolArray,
+    radius: float,
+    contact: BoolArray,
+    walls: Walls,
 ) -> float:
     """Push robots at ``places`` (m, 2 or more) out of what they overlap, along the shortest way.
 
-    The pushes are repeated where walls meet, as in ``simulation.physics.Physics``; robots that still overlap something
-    return to their positions ``before``. Sets ``contact`` (m,). Returns the distance that the robots can travel before
-    one of them may touch something, m. ``deep`` (m,) is scratch memory.
+    The pushes are repeated where walls meet, as in ``simulation.physics.Physics``; robots that
+    still overlap something return to their positions ``before``. Sets ``contact`` (m,). Returns the
+    distance that the robots can travel before one of them may touch something, m. ``deep`` (m,) is
+    scratch memory.
     """
     gap = _OUTLOOK
     for robot in range(len(places)):
@@ -90,7 +109,9 @@ def separate(  # noqa: C901 (walls, robots, and pushes that do not converge)
     for _ in range(MAX_PUSHES):
         is_pushed = False
         for robot in range(len(places)):
-            distance, away_x, away_y, other = nearest_thing(robot, places, radius, radius + TOUCH, walls)
+            distance, away_x, away_y, other = nearest_thing(
+                robot, places, radius, radius + TOUCH, walls
+            )
             if distance >= radius + TOUCH:
                 continue
             contact[robot] = True

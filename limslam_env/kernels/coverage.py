@@ -1,11 +1,12 @@
 """Coverage: the cells that rays cross and bodies touch.
 
-The grid of one environment is handed over as ``seen`` and ``coverable`` (rows, columns), row 0 at the bottom, and
-``area``: the grid's lower left corner x, y and its cell side, m.
+The grid of one environment is handed over as ``seen`` and ``coverable`` (rows, columns), row 0 at
+the bottom, and ``area``: the grid's lower left corner x, y and its cell side, m.
 
-The unseen cells of many environments have one bit each. A *tile*, a word of 64 bits, stands for 8 x 8 cells, row by row
-from the lower left; the tiles of a grid follow each other in the same order. A set bit is a coverable cell that has not
-been seen. Most rays cross no such cell, which a test of a few words shows.
+The unseen cells of many environments have one bit each. A *tile*, a word of 64 bits, stands for 8 x
+8 cells, row by row from the lower left; the tiles of a grid follow each other in the same order. A
+set bit is a coverable cell that has not been seen. Most rays cross no such cell, which a test of a
+few words shows.
 """
 
 import math
@@ -20,7 +21,8 @@ from limslam_env.kernels.rays import crossings
 # A body may overlap a wall by this much, m, and must not count as seeing the cells behind the wall.
 BODY_MARGIN = 1e-3
 
-# A ray ends this much of a cell before the wall that it hits, so that it never marks the cell behind the wall.
+# A ray ends this much of a cell before the wall that it hits, so that it never marks the cell
+# behind the wall.
 RAY_MARGIN = 1e-6
 
 TILE = 8
@@ -29,16 +31,31 @@ TILE = 8
 LONGEST_LOOK = 16.0
 """Longest side of a rectangle, in cells, that three by three tiles hold wherever it lies."""
 
-_NONE, _ONE, _TWO, _EIGHT, _SIXTEEN = np.uint64(0), np.uint64(1), np.uint64(2), np.uint64(8), np.uint64(16)
+_NONE, _ONE, _TWO, _EIGHT, _SIXTEEN = (
+    np.uint64(0),
+    np.uint64(1),
+    np.uint64(2),
+    np.uint64(8),
+    np.uint64(16),
+)
 _FULL, _BYTE, _EACH_ROW = np.uint64(0xFFFFFF), np.uint64(0xFF), np.uint64(0x0101010101010101)
 
 # Whole rows of a tile, for each set of rows as bits.
-_ROW_MASKS = np.array([sum(0xFF << 8 * row for row in range(8) if rows >> row & 1) for rows in range(256)], np.uint64)
+_ROW_MASKS = np.array(
+    [sum(0xFF << 8 * row for row in range(8) if rows >> row & 1) for rows in range(256)], np.uint64
+)
 
 
 @merged
 def mark_ray(
-    seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, dx: float, dy: float, reach: float
+    seen: BoolArray,
+    coverable: BoolArray,
+    area: FloatArray,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
 ) -> int:
     """Set every cell that a ray crosses; the number of coverable cells that are new."""
     cell = area[2]
@@ -72,7 +89,9 @@ def is_touched(column: int, row: int, x: float, y: float, radius: float) -> bool
 
 
 @merged
-def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float) -> int:
+def mark_disc(
+    seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float
+) -> int:
     """Set every cell that a body touches; the number of coverable cells that are new."""
     cell = area[2]
     x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - BODY_MARGIN) / cell
@@ -93,13 +112,21 @@ def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float,
 
 @merged
 def unseen_nearby(
-    left: Words, env: int, tile_columns: int, tile_rows: int, low_x: float, low_y: float, high_x: float, high_y: float
+    left: Words,
+    env: int,
+    tile_columns: int,
+    tile_rows: int,
+    low_x: float,
+    low_y: float,
+    high_x: float,
+    high_y: float,
 ) -> np.uint64:
-    """Which unseen cells touch a rectangle of at most ``LONGEST_LOOK`` cells a side: 0 if there is none.
+    """Which unseen cells touch a rectangle of at most ``LONGEST_LOOK`` cells a side: 0 if there is
+    none.
 
     The rectangle lies in the grid, and is given in cells. The words of its three by three tiles are
-    joined, so that other numbers than 0 mean nothing more. No branches, no loops, no signed places in arrays: this is
-    done for each ray and each body in each step, several at once.
+    joined, so that other numbers than 0 mean nothing more. No branches, no loops, no signed places
+    in arrays: this is done for each ray and each body in each step, several at once.
     """
     column0, column1 = max(int(low_x), 0), min(int(high_x), tile_columns * TILE - 1)
     row0, row1 = max(int(low_y), 0), min(int(high_y), tile_rows * TILE - 1)
@@ -114,7 +141,9 @@ def unseen_nearby(
     high = middle + np.uint64(tile_columns)
     low_words = (left[line, low] & left_columns) | (left[line, low + _ONE] & middle_columns)
     low_words |= left[line, low + _TWO] & right_columns
-    middle_words = (left[line, middle] & left_columns) | (left[line, middle + _ONE] & middle_columns)
+    middle_words = (left[line, middle] & left_columns) | (
+        left[line, middle + _ONE] & middle_columns
+    )
     middle_words |= left[line, middle + _TWO] & right_columns
     high_words = (left[line, high] & left_columns) | (left[line, high + _ONE] & middle_columns)
     high_words |= left[line, high + _TWO] & right_columns
@@ -145,7 +174,15 @@ def take(left: Words, env: int, tile_columns: int, column: int, row: int) -> int
 
 @compiled
 def walk_ray(
-    left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, dx: float, dy: float, end: float
+    left: Words,
+    env: int,
+    tile_columns: int,
+    tile_rows: int,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    end: float,
 ) -> int:
     """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
 
@@ -158,7 +195,8 @@ def walk_ray(
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns:
             new += take(left, env, tile_columns, column, row)
-        # The axis is unpredictable: values are selected, because a branch would often be mispredicted.
+        # The axis is unpredictable: values are selected, because a branch would often be
+        # mispredicted.
         is_column = next_column < next_row
         travelled = next_column if is_column else next_row
         column += column_step if is_column else 0
@@ -169,7 +207,9 @@ def walk_ray(
 
 
 @compiled
-def walk_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
+def walk_disc(
+    left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float
+) -> int:
     """Take every cell that a body touches out of the unseen cells; returns how many there were.
 
     The counterpart of :func:`mark_disc`. Lengths are in cells.

@@ -12,14 +12,18 @@ from limslam_env.kernels.rays import Walls, first_wall
 
 @inlined
 def clipped(low: float, high: float, origin: float, cell: float, count: int) -> tuple[int, int]:
-    """First cell, and the one after the last, of a stretch of one axis (m) on a grid of ``count`` cells."""
+    """First cell, and the one after the last, of a stretch of one axis (m) on a grid of ``count``
+    cells.
+    """
     first = min(max(math.floor((low - origin) / cell), 0), count)
     return first, min(max(math.ceil((high - origin) / cell), 0), count)
 
 
 @lean_entry
 def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: BoolArray) -> None:
-    """Clear the cells whose centres lie less than ``radius`` (m) from an edge; ``space``: corner x, y and cell, m."""
+    """Clear the cells whose centres lie less than ``radius`` (m) from an edge; ``space``: corner x,
+    y and cell, m.
+    """
     low_x, low_y, cell = space[0], space[1], space[2]
     rows, columns = free.shape
     reach = radius + cell
@@ -35,7 +39,9 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
                 start = min(max((above - reach) / ey, 0.0), 1.0)
                 end = min(max((above + reach) / ey, 0.0), 1.0)
             from_x, to_x = x1 + start * ex, x1 + end * ex
-            first, last = clipped(min(from_x, to_x) - reach, max(from_x, to_x) + reach, low_x, cell, columns)
+            first, last = clipped(
+                min(from_x, to_x) - reach, max(from_x, to_x) + reach, low_x, cell, columns
+            )
             for column in range(first, last):
                 if not free[row, column]:
                     continue
@@ -46,10 +52,13 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
 
 
 @lean_entry
-def clear_inside(corners: FloatArray, space: FloatArray, crossed: FloatArray, free: BoolArray) -> None:
+def clear_inside(
+    corners: FloatArray, space: FloatArray, crossed: FloatArray, free: BoolArray
+) -> None:
     """Clear the cells whose centres lie inside a polygon, by the crossing-number rule.
 
-    ``corners`` (c, 2) are in m, ``space`` as for :func:`clear_near_walls`; ``crossed`` (c,) is scratch memory.
+    ``corners`` (c, 2) are in m, ``space`` as for :func:`clear_near_walls`; ``crossed`` (c,) is
+    scratch memory.
     """
     low_x, low_y, cell = space[0], space[1], space[2]
     rows, columns = free.shape
@@ -63,7 +72,12 @@ def clear_inside(corners: FloatArray, space: FloatArray, crossed: FloatArray, fr
         y, count = low_y + (row + 0.5) * cell, 0
         for corner in range(len(corners)):
             beyond = corner + 1 if corner + 1 < len(corners) else 0
-            x1, y1, x2, y2 = corners[corner, 0], corners[corner, 1], corners[beyond, 0], corners[beyond, 1]
+            x1, y1, x2, y2 = (
+                corners[corner, 0],
+                corners[corner, 1],
+                corners[beyond, 0],
+                corners[beyond, 1],
+            )
             if (y1 <= y) != (y2 <= y):
                 crossed[count] = ((x2 - x1) * (y - y1)) / (y2 - y1) + x1
                 count += 1
@@ -87,12 +101,17 @@ def look_around(
     area: FloatArray,
     coverable: BoolArray,
 ) -> None:
-    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the region at once."""
+    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the
+    region at once.
+    """
     low_x, low_y, side = space[0], space[1], space[2]
     rows, columns = region.shape
     for view in range(len(views)):
         dx, dy = views[view, 0], views[view, 1]
-        column, row = math.floor((x + 1.5 * side * dx - low_x) / side), math.floor((y + 1.5 * side * dy - low_y) / side)
+        column, row = (
+            math.floor((x + 1.5 * side * dx - low_x) / side),
+            math.floor((y + 1.5 * side * dy - low_y) / side),
+        )
         if not (0 <= row < rows and 0 <= column < columns and region[row, column]):
             distance, _ = first_wall(x, y, dx, dy, reach, walls)
             mark_ray(coverable, coverable, area, x, y, dx, dy, distance)
@@ -111,22 +130,25 @@ def look_out(
     coverable: BoolArray,
     is_taken: BoolArray,
 ) -> None:
-    """Mark the cells that robots can cover from a region: those in it, and those that can be seen from it.
+    """Mark the cells that robots can cover from a region: those in it, and those that can be seen
+    from it.
 
-    Every view of what lies beyond the region crosses the region's border, which lies nearer to it. So it is enough to
-    look from the border, from one place for each cell of the coverage.
+    Every view of what lies beyond the region crosses the region's border, which lies nearer to it.
+    So it is enough to look from the border, from one place for each cell of the coverage.
 
     Parameters
     ----------
     views, reach, loose
-        Unit vectors (v, 2) to look along, how far robots see, m, and further places (n, 2), m, to look from.
+        Unit vectors (v, 2) to look along, how far robots see, m, and further places (n, 2), m, to
+        look from.
     space, region, inner
-        The grid of free space: lower left corner x, y and cell side, m; the cells of the region (rows, columns), and
-        those with all of their neighbours in it.
+        The grid of free space: lower left corner x, y and cell side, m; the cells of the region
+        (rows, columns), and those with all of their neighbours in it.
     area, coverable
         The coverage grid: lower left corner and cell side, m; and its cells, changed.
     is_taken
-        Scratch memory (rows, columns), all false, with a cell for each of the coverage around the region.
+        Scratch memory (rows, columns), all false, with a cell for each of the coverage around the
+        region.
     """
     low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
     rows, columns = region.shape
@@ -145,4 +167,6 @@ def look_out(
                 is_taken[place] = True
                 look_around(x, y, views, reach, walls, region, space, area, coverable)
     for number in range(len(loose)):
-        look_around(loose[number, 0], loose[number, 1], views, reach, walls, region, space, area, coverable)
+        look_around(
+            loose[number, 0], loose[number, 1], views, reach, walls, region, space, area, coverable
+        )

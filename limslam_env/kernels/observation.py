@@ -1,4 +1,6 @@
-"""One time step of one simulation: the motion of robots that are far from all obstacles, and all measurements."""
+"""One time step of one simulation: the motion of robots that are far from all obstacles, and all
+measurements.
+"""
 
 import math
 
@@ -10,15 +12,19 @@ from limslam_env.kernels.rays import Walls, measure, nearest_in_cone, turned
 from limslam_env.kernels.readings import is_due, noisy_reading, reported_travel, way_over_ground
 
 AXLE, CLEARANCE, LONGEST = range(3)
-"""What a motion depends on besides the wheels, m: the distance between them, the distance that the robots can travel in
-total before one of them may touch something, and the longest move between two checks for contact."""
+"""What a motion depends on besides the wheels, m: the distance between them, the distance that the
+robots can travel in total before one of them may touch something, and the longest move between two
+checks for contact.
+"""
 
 arc_end = inlined(se2.arc_end)
 
 
 @merged
 def move_freely(poses: FloatArray, ground: FloatArray, motion: FloatArray) -> bool:
-    """Move robots (n, 3) to the ends of their arcs if none of them can touch anything, and say whether they were."""
+    """Move robots (n, 3) to the ends of their arcs if none of them can touch anything, and say
+    whether they were.
+    """
     farthest = 0.0
     for robot in range(len(poses)):
         farthest = max(farthest, 0.5 * abs(ground[robot, 0] + ground[robot, 1]))
@@ -29,7 +35,12 @@ def move_freely(poses: FloatArray, ground: FloatArray, motion: FloatArray) -> bo
     motion[CLEARANCE] = clearance
     for robot in range(len(poses)):
         poses[robot, 0], poses[robot, 1], poses[robot, 2] = arc_end(
-            poses[robot, 0], poses[robot, 1], poses[robot, 2], ground[robot, 0], ground[robot, 1], motion[AXLE]
+            poses[robot, 0],
+            poses[robot, 1],
+            poses[robot, 2],
+            ground[robot, 0],
+            ground[robot, 1],
+            motion[AXLE],
         )
     return True
 
@@ -56,10 +67,11 @@ def drive_and_observe(
     wheels: ReadingArray,
     new_cells: IntArray,
 ) -> bool:
-    """Move all robots if none can touch anything, take their measurements, and mark what beams and bodies cover.
+    """Move all robots if none can touch anything, take their measurements, and mark what beams and
+    bodies cover.
 
-    If a robot may touch something, False is returned, and all stay where they are: they have to be moved with a check
-    for contact.
+    If a robot may touch something, False is returned, and all stay where they are: they have to be
+    moved with a check for contact.
 
     Parameters
     ----------
@@ -70,26 +82,31 @@ def drive_and_observe(
     draws
         (n, n_beams + 2, 2) numbers from N(0, 1) and U(0, 1): for each beam, then for each wheel.
     poses, motion
-        Robots (n, 3), m and rad, changed in place; and (3,), see ``AXLE``, of which the clearance changes.
+        Robots (n, 3), m and rad, changed in place; and (3,), see ``AXLE``, of which the clearance
+        changes.
     travel, ground
-        How far the wheels turn (n, 2), m, and the distance (n, 2), m, that they move over the ground, which is set.
+        How far the wheels turn (n, 2), m, and the distance (n, 2), m, that they move over the
+        ground, which is set.
     radius, beams, noise
         Of their bodies, m; (n_beams, 11) and (14,), see :mod:`limslam_env.kernels.readings`.
     seen, coverable, area
         The grid of what has been seen.
     unreported, hits, ranges
-        Kept from step to step: travel that the encoders have not reported so far (n, 2), m; and the wall that each beam
-        hit, and its reading, m, (n, n_beams).
+        Kept from step to step: travel that the encoders have not reported so far (n, 2), m; and the
+        wall that each beam hit, and its reading, m, (n, n_beams).
     wheels, new_cells
-        Set to what the encoders say (n, 2), m, and to the number of cells (n,) that each robot covered as the first.
+        Set to what the encoders say (n, 2), m, and to the number of cells (n,) that each robot
+        covered as the first.
     """
     if not is_moved:
         for robot in range(len(poses)):
             for side in range(2):
                 ground[robot, side] = way_over_ground(
-                    travel[robot, side], noise[tables.SLIP_RATE], noise[tables.SLIP_SHARE],
+                    travel[robot, side],
+                    noise[tables.SLIP_RATE],
+                    noise[tables.SLIP_SHARE],
                     draws[robot, len(beams) + side, 1],
-                )  # fmt: skip
+                )
         if not move_freely(poses, ground, motion):
             return False
     # Numbers are taken out of the arrays one by one: a slice costs as much as a ray.
@@ -101,31 +118,56 @@ def drive_and_observe(
             if not is_due(beams, number, step):
                 continue
             offset, longest = beams[number, tables.OFFSET], beams[number, tables.LONGEST_RANGE]
-            # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
-            rim_x, rim_y = turned(beams[number, tables.FROM_X], beams[number, tables.FROM_Y], cos, sin)
+            # The rim may touch a wall, and a ray from there start behind it: rays start inside the
+            # body.
+            rim_x, rim_y = turned(
+                beams[number, tables.FROM_X], beams[number, tables.FROM_Y], cos, sin
+            )
             rim_x, rim_y = body_x + rim_x, body_y + rim_y
-            dx, dy = turned(beams[number, tables.TOWARDS_X], beams[number, tables.TOWARDS_Y], cos, sin)
+            dx, dy = turned(
+                beams[number, tables.TOWARDS_X], beams[number, tables.TOWARDS_Y], cos, sin
+            )
             x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
             distance, hit = measure(robot, poses, radius, x, y, dx, dy, reach, walls)
             new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
             if noise[tables.CONE] > 0.0:
                 distance, hit = nearest_in_cone(
-                    robot, distance, hit, rim_x, rim_y, heading + beams[number, tables.ANGLE],
-                    offset, reach, noise[tables.CONE], radius, poses, walls,
-                )  # fmt: skip
+                    robot,
+                    distance,
+                    hit,
+                    rim_x,
+                    rim_y,
+                    heading + beams[number, tables.ANGLE],
+                    offset,
+                    reach,
+                    noise[tables.CONE],
+                    radius,
+                    poses,
+                    walls,
+                )
             hits[robot, number] = hit
             ranges[robot, number] = noisy_reading(
-                distance - offset, hit, beams[number, tables.SHORTEST_RANGE], longest,
-                noise[tables.RANGE_STD], noise[tables.STD_GROWTH], noise[tables.DROPOUT],
-                noise[tables.RANGE_RESOLUTION], noise[tables.FOLD_BACK],
-                draws[robot, number, 0], draws[robot, number, 1],
-            )  # fmt: skip
+                distance - offset,
+                hit,
+                beams[number, tables.SHORTEST_RANGE],
+                longest,
+                noise[tables.RANGE_STD],
+                noise[tables.STD_GROWTH],
+                noise[tables.DROPOUT],
+                noise[tables.RANGE_RESOLUTION],
+                noise[tables.FOLD_BACK],
+                draws[robot, number, 0],
+                draws[robot, number, 1],
+            )
         new_cells[robot] = new
         for side in range(2):
             wheels[robot, side], unreported[robot, side] = reported_travel(
-                travel[robot, side], unreported[robot, side],
-                noise[tables.LEFT_WHEEL + side], noise[tables.WHEEL_VARIANCE],
-                noise[tables.ENCODER_RESOLUTION], noise[tables.LARGEST_TRAVEL],
+                travel[robot, side],
+                unreported[robot, side],
+                noise[tables.LEFT_WHEEL + side],
+                noise[tables.WHEEL_VARIANCE],
+                noise[tables.ENCODER_RESOLUTION],
+                noise[tables.LARGEST_TRAVEL],
                 draws[robot, len(beams) + side, 0],
-            )  # fmt: skip
+            )
     return True

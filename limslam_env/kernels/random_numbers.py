@@ -1,6 +1,8 @@
-"""Random numbers for many environments: each number is a function of its environment's key and of a counter.
+"""Random numbers for many environments: each number is a function of its environment's key and of a
+counter.
 
-The generator has no state. A number that no noise needs can be skipped without changing any other number.
+The generator has no state. A number that no noise needs can be skipped without changing any other
+number.
 """
 
 import math
@@ -60,7 +62,8 @@ def unit(bits: np.uint64) -> float:
 def normal(bits: np.uint64) -> float:
     """A number from N(0, 1) of random bits, exactly.
 
-    The ziggurat of 128 layers, after Doornik, "An improved ziggurat method to generate normal random samples" (2005).
+    The ziggurat of 128 layers, after Doornik, "An improved ziggurat method to generate normal
+    random samples" (2005).
     """
     layer = bits & _LAYER
     share = 2.0 * unit(bits) - 1.0
@@ -72,7 +75,9 @@ def normal(bits: np.uint64) -> float:
 
 @compiled
 def _rare_normal(bits: np.uint64) -> float:
-    """:func:`normal`, for one number in eighty; further bits that it needs are mixed from the first."""
+    """:func:`normal`, for one number in eighty; further bits that it needs are mixed from the
+    first.
+    """
     while True:
         layer = bits & _LAYER
         share = 2.0 * unit(bits) - 1.0
@@ -110,7 +115,9 @@ def chosen(key: np.uint64, count: int) -> np.int64:
 
 @entry
 def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
-    """Keys (n,) of random numbers for one purpose in episodes (n,) of environments with keys ``homes`` (n,)."""
+    """Keys (n,) of random numbers for one purpose in episodes (n,) of environments with keys
+    ``homes`` (n,).
+    """
     keys = np.empty_like(homes)
     for row in range(len(homes)):
         keys[row] = derived(homes[row], episodes[row], purpose)
@@ -118,10 +125,13 @@ def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
 
 
 @merged
-def draw_row(key: np.uint64, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray) -> None:
+def draw_row(
+    key: np.uint64, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray
+) -> None:
     """Set ``numbers`` (k,) to numbers from U(``lowest``, ``lowest + spans``), all (k,).
 
-    ``places`` (k,) are those of the random numbers in the sequence of the key; equal ones give the same random number.
+    ``places`` (k,) are those of the random numbers in the sequence of the key; equal ones give the
+    same random number.
     """
     for column in range(len(numbers)):
         share = unit(mixed(key + np.uint64(places[column] + 1) * GOLDEN))
@@ -129,7 +139,9 @@ def draw_row(key: np.uint64, lowest: FloatArray, spans: FloatArray, places: IntA
 
 
 @lean_entry
-def draw_rows(keys: Words, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray) -> None:
+def draw_rows(
+    keys: Words, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray
+) -> None:
     """:func:`draw_row` for each row of ``numbers`` (n, k), by its key (n,)."""
     for number in range(len(keys)):
         draw_row(keys[number], lowest, spans, places, numbers[number])
@@ -146,12 +158,13 @@ def draw_start(
     poses: FloatArray,
     tries: int,
 ) -> bool:
-    """Put robots from the ``num_given``-th on at random free cells; returns whether there was enough space.
+    """Put robots from the ``num_given``-th on at random free cells; returns whether there was
+    enough space.
 
-    The free cells are ``runs`` (r, 2): the number of the first of some cells side by side, and how many cells come
-    before it; there are ``count`` cells. Their grid is ``space``: lower left corner x, y, cell side (m) and columns.
-    Robots are ``apart`` (m) at least. Of ``poses`` (m, 3), m and rad, those that are given are set already. For all
-    robots together so many places are tried.
+    The free cells are ``runs`` (r, 2): the number of the first of some cells side by side, and how
+    many cells come before it; there are ``count`` cells. Their grid is ``space``: lower left corner
+    x, y, cell side (m) and columns. Robots are ``apart`` (m) at least. Of ``poses`` (m, 3), m and
+    rad, those that are given are set already. For all robots together so many places are tried.
     """
     columns, state, placed = int(space[3]), key, num_given
     for _ in range(tries):
@@ -165,7 +178,10 @@ def draw_start(
         cell = int(runs[run, 0]) + place - int(runs[run, 1])
         heading = (2.0 * unit(mixed(state + GOLDEN + GOLDEN)) - 1.0) * math.pi
         state = state + GOLDEN + GOLDEN
-        x, y = space[0] + (cell % columns + 0.5) * space[2], space[1] + (cell // columns + 0.5) * space[2]
+        x, y = (
+            space[0] + (cell % columns + 0.5) * space[2],
+            space[1] + (cell // columns + 0.5) * space[2],
+        )
         is_free = True
         for other in range(placed):
             is_free &= math.hypot(poses[other, 0] - x, poses[other, 1] - y) > apart
@@ -186,7 +202,9 @@ def draw_starts(
     poses: FloatArray,
     tries: int,
 ) -> bool:
-    """:func:`draw_start` for environments with keys (n,) and poses (n, m, 3); returns whether all had enough space."""
+    """:func:`draw_start` for environments with keys (n,) and poses (n, m, 3); returns whether all
+    had enough space.
+    """
     for env in range(len(keys)):
         if not draw_start(keys[env], num_given, runs, count, space, apart, poses[env], tries):
             return False

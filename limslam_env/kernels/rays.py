@@ -1,4 +1,6 @@
-"""Walls sorted into the cells of a grid, so that rays and bodies look at those near them only; and what a ray meets."""
+"""Walls sorted into the cells of a grid, so that rays and bodies look at those near them only; and
+what a ray meets.
+"""
 
 import math
 from typing import NamedTuple
@@ -16,18 +18,22 @@ _HALF_DIAGONAL = 0.70711
 _END_SLACK = 1e-9
 
 SHARES = (-1.0, -0.5, 0.5, 1.0)
-"""Directions of the further rays of a cone, besides its middle, in shares of half its opening angle."""
+"""Directions of the further rays of a cone, besides its middle, in shares of half its opening
+angle.
+"""
 
 
 class Walls(NamedTuple):
-    """The walls of one world as the kernels hand them on: a cell list that may lie among those of other worlds.
+    """The walls of one world as the kernels hand them on: a cell list that may lie among those of
+    other worlds.
 
     Attributes
     ----------
     edges
         (k, 4): x1, y1, x2, y2 of each wall, m.
     cell_starts, cell_edges, first_cell
-        ``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the walls that cross cell ``c - first_cell``.
+        ``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the walls that cross cell ``c -
+        first_cell``.
     low_x, low_y, side, columns, rows
         Lower left corner of the grid and side of a cell, m, and its size in cells.
     """
@@ -44,20 +50,29 @@ class Walls(NamedTuple):
 
 
 @lean_entry
-def list_walls(walls: Walls, border: float, taken: IntArray, cell_starts: IntArray, cell_edges: IntArray) -> None:
+def list_walls(
+    walls: Walls, border: float, taken: IntArray, cell_starts: IntArray, cell_edges: IntArray
+) -> None:
     """Sort walls into the cells that they cross, or come as near to as ``border``, m.
 
-    Called twice: with an empty ``cell_edges`` it fills ``cell_starts`` (cells + 1,), all 0 before; with one of
-    ``cell_starts[-1]`` places it fills that. ``taken`` (cells,) is scratch memory, all 0 before.
+    Called twice: with an empty ``cell_edges`` it fills ``cell_starts`` (cells + 1,), all 0 before;
+    with one of ``cell_starts[-1]`` places it fills that. ``taken`` (cells,) is scratch memory, all
+    0 before.
     """
     edges, columns, rows, side = walls.edges, walls.columns, walls.rows, walls.side
     is_filling = len(cell_edges) > 0
     for edge in range(len(edges)):
         x1, y1, x2, y2 = edges[edge, 0], edges[edge, 1], edges[edge, 2], edges[edge, 3]
         normal_x, normal_y = y1 - y2, x2 - x1
-        # Half a cell's width across the wall. Walls that run along the border of a cell are in both.
-        half = 0.5 * side * (abs(normal_x) + abs(normal_y)) + border * math.hypot(normal_x, normal_y)
-        squared, farthest = normal_x * normal_x + normal_y * normal_y, border + _HALF_DIAGONAL * side
+        # Half a cell's width across the wall. Walls that run along the border of a cell are in
+        # both.
+        half = 0.5 * side * (abs(normal_x) + abs(normal_y)) + border * math.hypot(
+            normal_x, normal_y
+        )
+        squared, farthest = (
+            normal_x * normal_x + normal_y * normal_y,
+            border + _HALF_DIAGONAL * side,
+        )
         for row in range(
             max(math.floor((min(y1, y2) - border - walls.low_y) / side), 0),
             min(math.floor((max(y1, y2) + border - walls.low_y) / side), rows - 1) + 1,
@@ -86,10 +101,11 @@ def list_walls(walls: Walls, border: float, taken: IntArray, cell_starts: IntArr
 def crossings(place: float, direction: float, side: float) -> tuple[int, int, float, float]:
     """How a ray crosses the cells of a grid along one axis, for the walk from cell to cell.
 
-    The walk is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987). The ray starts at
-    ``place``, in cells, and ``direction`` is its unit vector's part on this axis. A cell's ``side`` is in the unit of
-    the ray's length. Returns the first cell and the step, 1 or -1; then how far along the ray the first crossing lies,
-    and further ones from each other, infinite if there are none.
+    The walk is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing"
+    (1987). The ray starts at ``place``, in cells, and ``direction`` is its unit vector's part on
+    this axis. A cell's ``side`` is in the unit of the ray's length. Returns the first cell and the
+    step, 1 or -1; then how far along the ray the first crossing lies, and further ones from each
+    other, infinite if there are none.
     """
     cell = floored(place)
     if direction == 0.0:
@@ -100,7 +116,9 @@ def crossings(place: float, direction: float, side: float) -> tuple[int, int, fl
 
 @inlined
 def meeting(ax: float, ay: float, ex: float, ey: float, dx: float, dy: float) -> tuple[float, bool]:
-    """How far along a ray (dx, dy) a wall from (ax, ay), seen from its start, along (ex, ey) is met, and whether."""
+    """How far along a ray (dx, dy) a wall from (ax, ay), seen from its start, along (ex, ey) is
+    met, and whether.
+    """
     # Parallel ones divide by 0, and compare as not met.
     cross = dx * ey - dy * ex
     distance = (ax * ey - ay * ex) / cross
@@ -109,10 +127,14 @@ def meeting(ax: float, ay: float, ex: float, ey: float, dx: float, dy: float) ->
 
 
 @merged
-def first_wall(x: float, y: float, dx: float, dy: float, reach: float, walls: Walls) -> tuple[float, int]:
-    """Distance (m) and index of the first wall on a ray; ``reach`` and ``NOTHING`` if it meets no wall.
+def first_wall(
+    x: float, y: float, dx: float, dy: float, reach: float, walls: Walls
+) -> tuple[float, int]:
+    """Distance (m) and index of the first wall on a ray; ``reach`` and ``NOTHING`` if it meets no
+    wall.
 
-    The ray starts inside the grid of the walls' cells, goes from cell to cell, and stops in the first cell with a hit.
+    The ray starts inside the grid of the walls' cells, goes from cell to cell, and stops in the
+    first cell with a hit.
     """
     edges, cell_starts, cell_edges = walls.edges, walls.cell_starts, walls.cell_edges
     side, columns, rows, first_cell = walls.side, walls.columns, walls.rows, walls.first_cell
@@ -141,15 +163,26 @@ def first_wall(x: float, y: float, dx: float, dy: float, reach: float, walls: Wa
 
 @inlined
 def turned(x: float, y: float, cos: float, sin: float) -> tuple[float, float]:
-    """A point or direction of the robot's frame in the world's, for a heading with this cosine and sine."""
+    """A point or direction of the robot's frame in the world's, for a heading with this cosine and
+    sine.
+    """
     return cos * x - sin * y, sin * x + cos * y
 
 
 @compiled
 def cast_at_discs(
-    x: float, y: float, dx: float, dy: float, reach: float, owner: int, centres: FloatArray, radius: float
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
+    owner: int,
+    centres: FloatArray,
+    radius: float,
 ) -> float:
-    """Distance (m) of the first of the discs ``centres`` (m, 2 or more columns) on a ray; not of its owner's."""
+    """Distance (m) of the first of the discs ``centres`` (m, 2 or more columns) on a ray; not of
+    its owner's.
+    """
     best = reach
     for disc in range(len(centres)):
         if disc == owner:
@@ -164,7 +197,15 @@ def cast_at_discs(
 
 @merged
 def measure(
-    robot: int, poses: FloatArray, radius: float, x: float, y: float, dx: float, dy: float, reach: float, walls: Walls
+    robot: int,
+    poses: FloatArray,
+    radius: float,
+    x: float,
+    y: float,
+    dx: float,
+    dy: float,
+    reach: float,
+    walls: Walls,
 ) -> tuple[float, int]:
     """Distance (m) of the first wall or other robot on a ray of one robot, and which it is."""
     distance, hit = first_wall(x, y, dx, dy, reach, walls)
@@ -190,14 +231,18 @@ def nearest_in_cone(
     poses: FloatArray,
     walls: Walls,
 ) -> tuple[float, int]:
-    """The nearest of what the rays of a cone meet: ``distance`` (m) and ``hit`` of its middle, or nearer ones.
+    """The nearest of what the rays of a cone meet: ``distance`` (m) and ``hit`` of its middle, or
+    nearer ones.
 
-    The cone opens by ``cone`` (rad) to both sides of ``angle`` (rad) at the point (x, y), m, on the rim of the body;
-    its rays start ``offset`` (m) before that point and have the length ``reach`` (m).
+    The cone opens by ``cone`` (rad) to both sides of ``angle`` (rad) at the point (x, y), m, on the
+    rim of the body; its rays start ``offset`` (m) before that point and have the length ``reach``
+    (m).
     """
     for share in SHARES:
         dx, dy = math.cos(angle + share * cone), math.sin(angle + share * cone)
-        aside, other = measure(robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls)
+        aside, other = measure(
+            robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls
+        )
         if aside < distance:
             distance, hit = aside, other
     return distance, hit
@@ -212,8 +257,15 @@ def cast_rays(
     distances: FloatArray,
     hits: IntArray,
 ) -> None:
-    """Fill in distance (n,), m, and wall (n,) of rays from (n, 2) along unit vectors (n, 2) of reaches (n,), m."""
+    """Fill in distance (n,), m, and wall (n,) of rays from (n, 2) along unit vectors (n, 2) of
+    reaches (n,), m.
+    """
     for ray in range(len(origins)):
         distances[ray], hits[ray] = first_wall(
-            origins[ray, 0], origins[ray, 1], directions[ray, 0], directions[ray, 1], lengths[ray], walls
+            origins[ray, 0],
+            origins[ray, 1],
+            directions[ray, 0],
+            directions[ray, 1],
+            lengths[ray],
+            walls,
         )

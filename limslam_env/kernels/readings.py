@@ -1,4 +1,6 @@
-"""The tables of beams and of noise that kernels read; readings of range sensors and wheel encoders; slip of wheels."""
+"""The tables of beams and of noise that kernels read; readings of range sensors and wheel encoders;
+slip of wheels.
+"""
 
 import math
 
@@ -8,10 +10,14 @@ from limslam_env.geometry import FloatArray
 NOTHING, ROBOT = -1, -2
 """What a beam hits that hits no wall."""
 
-FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, _, _, ANGLE, LONGEST_RANGE, OFFSET, SHORTEST_RANGE, PERIOD = range(11)
-"""Columns of a table of beams (n_beams, 11), of which the first are those of ``RobotSpec.beam_table``: origin (m) and
-direction as a unit vector in the robot's frame, angle (rad), longest reading (m), how far before its origin a ray
-starts (m), shortest reading (m), and period in steps."""
+FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, _, _, ANGLE, LONGEST_RANGE, OFFSET, SHORTEST_RANGE, PERIOD = (
+    range(11)
+)
+"""Columns of a table of beams (n_beams, 11), of which the first are those of
+``RobotSpec.beam_table``: origin (m) and direction as a unit vector in the robot's frame, angle
+(rad), longest reading (m), how far before its origin a ray starts (m), shortest reading (m), and
+period in steps.
+"""
 
 RANGE_STD, STD_GROWTH, DROPOUT, RANGE_RESOLUTION, FOLD_BACK, CONE = range(6)
 """Columns of a table of noise for the range sensors: what :func:`noisy_reading` needs,
@@ -22,8 +28,9 @@ LEFT_WHEEL, RIGHT_WHEEL, WHEEL_VARIANCE, ENCODER_RESOLUTION, LARGEST_TRAVEL = ra
 :func:`reported_travel`."""
 
 SLIP_RATE, SLIP_SHARE, TRUE_AXLE = range(11, 14)
-"""Further columns: slips per metre, the share of the travel that a slip takes, and the true distance between
-the wheels, m."""
+"""Further columns: slips per metre, the share of the travel that a slip takes, and the true
+distance between the wheels, m.
+"""
 
 NUM_NOISES = 14
 """Number of columns of the table of noise."""
@@ -39,8 +46,8 @@ def is_due(beams: FloatArray, number: int, step: int) -> bool:
 def way_over_ground(turn: float, rate: float, share: float, uniform: float) -> float:
     """How far a wheel moves over the ground, m, that turns by ``turn``, m: less when it slips.
 
-    Slips are a Poisson process along the path: ``rate`` per metre, each of which takes a ``share`` of the way.
-    ``uniform`` is a random number from U(0, 1).
+    Slips are a Poisson process along the path: ``rate`` per metre, each of which takes a ``share``
+    of the way. ``uniform`` is a random number from U(0, 1).
     """
     return turn * (1.0 - share) if uniform < -math.expm1(-rate * abs(turn)) else turn
 
@@ -59,11 +66,12 @@ def noisy_reading(
     normal: float,
     uniform: float,
 ) -> float:
-    """The reading (m) of a beam for a true distance ``ideal`` (m), with random numbers from N(0, 1) and U(0, 1).
+    """The reading (m) of a beam for a true distance ``ideal`` (m), with random numbers from N(0, 1)
+    and U(0, 1).
 
     Noise: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
-    resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing reads
-    ``longest`` exactly.
+    resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing
+    reads ``longest`` exactly.
     """
     if hit == NOTHING or uniform < dropout:
         return longest
@@ -77,13 +85,21 @@ def noisy_reading(
 
 @merged
 def reported_travel(
-    travel: float, unreported: float, factor: float, variance: float, resolution: float, limit: float, normal: float
+    travel: float,
+    unreported: float,
+    factor: float,
+    variance: float,
+    resolution: float,
+    limit: float,
+    normal: float,
 ) -> tuple[float, float]:
-    """The travel (m) that an encoder reports of a wheel's ``travel`` (m), and the remainder for later reports (m).
+    """The travel (m) that an encoder reports of a wheel's ``travel`` (m), and the remainder for
+    later reports (m).
 
-    It counts ``factor`` times the travel, with noise of ``variance`` per metre from the N(0, 1) number ``normal``,
-    and what was ``unreported`` so far (m); no more than ``limit`` (m) at once. Its ticks are ``resolution`` (m; 0 for
-    none) apart and stay where they are on the wheel: driving back over a tick takes it away again.
+    It counts ``factor`` times the travel, with noise of ``variance`` per metre from the N(0, 1)
+    number ``normal``, and what was ``unreported`` so far (m); no more than ``limit`` (m) at once.
+    Its ticks are ``resolution`` (m; 0 for none) apart and stay where they are on the wheel: driving
+    back over a tick takes it away again.
     """
     counted = travel * factor + math.sqrt(variance * abs(travel)) * normal + unreported
     reported = math.floor(counted / resolution) * resolution if resolution > 0.0 else counted

@@ -21,7 +21,8 @@ RENDER_FPS = 10
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """One agent's estimate in the world frame, drawn over the true world. The arrays are read-only copies.
+    """One agent's estimate in the world frame, drawn over the true world. The arrays are read-only
+    copies.
 
     Attributes
     ----------
@@ -56,7 +57,13 @@ class Overlay:
             raise ValueError("an overlay's covariance needs a pose to lie around")
 
 
-_SHAPES = {"pose": (3,), "covariance": (3, 3), "segments": (0, 4), "frontier": (0, 2), "plan": (0, 2)}
+_SHAPES = {
+    "pose": (3,),
+    "covariance": (3, 3),
+    "segments": (0, 4),
+    "frontier": (0, 2),
+    "plan": (0, 2),
+}
 """The shapes of the arrays; 0 stands for any number of rows."""
 
 
@@ -77,10 +84,11 @@ def _frozen(value: FloatArray, name: str, shape: tuple[int, ...]) -> FloatArray:
 
 
 class Painter:
-    """Pictures of a running simulation, in an array or in a window. Costs nothing while no mode is set.
+    """Pictures of a running simulation, in an array or in a window. Costs nothing while no mode is
+    set.
 
-    ``mode`` is ``"rgb_array"``, ``"human"`` or None; others are refused, and so is a window that needs what is not
-    installed.
+    ``mode`` is ``"rgb_array"``, ``"human"`` or None; others are refused, and so is a window that
+    needs what is not installed.
 
     Attributes
     ----------
@@ -94,7 +102,9 @@ class Painter:
         if mode == "human" and find_spec("pygame") is None:
             raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'")
         if mode is not None and mode not in RENDER_MODES:
-            raise ValueError(f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}")
+            raise ValueError(
+                f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}"
+            )
         self.mode = mode
         self.window: Window | None = None
         self._last: tuple[Readings, Truth] | None = None
@@ -118,7 +128,9 @@ class Painter:
             self.paint(simulation)
 
     def paint(self, simulation: "Simulation") -> NDArray[np.uint8] | None:
-        """The picture (height, width, 3); None before a reset, and when it is shown in the window."""
+        """The picture (height, width, 3); None before a reset, and when it is shown in the
+        window.
+        """
         if self._last is None:
             return None
         from limslam_env.rendering.rendering import RenderState, render
@@ -127,11 +139,19 @@ class Painter:
         grid = simulation.coverage_grid
         picture = render(
             RenderState(
-                simulation.world, simulation.robot, truth.poses, truth.wall_seen, readings.ranges,
-                [np.array(path) for path in self._paths], truth.time, truth.coverage,
-                simulation.seen & grid.coverable, grid.low, overlay=self.overlay,
+                simulation.world,
+                simulation.robot,
+                truth.poses,
+                truth.wall_seen,
+                readings.ranges,
+                [np.array(path) for path in self._paths],
+                truth.time,
+                truth.coverage,
+                simulation.seen & grid.coverable,
+                grid.low,
+                overlay=self.overlay,
             )
-        )  # fmt: skip
+        )
         if self.mode == "rgb_array":
             return picture
         if self.window is None:

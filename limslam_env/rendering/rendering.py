@@ -35,7 +35,14 @@ _PAPER, _UNSEEN, _SEEN = (250, 250, 249), (222, 227, 233), (252, 248, 238)
 _WALL, _OBSTACLE = (47, 55, 69), (174, 183, 195)
 _WALL_HIT, _ROBOT_HIT, _NO_HIT = (226, 138, 40), (190, 40, 140), (158, 184, 212)
 _BELIEF, _FRONTIER, _TEXT, _BAR = (205, 48, 66), (20, 150, 140), (86, 94, 108), (208, 213, 220)
-_ROBOTS = ((38, 103, 178), (40, 140, 92), (132, 84, 170), (176, 88, 60), (20, 128, 142), (168, 62, 110))
+_ROBOTS = (
+    (38, 103, 178),
+    (40, 140, 92),
+    (132, 84, 170),
+    (176, 88, 60),
+    (20, 128, 142),
+    (168, 62, 110),
+)
 
 _SHARPER = np.clip((np.arange(256) - 96) * 4, 0, 255).astype(np.uint8)
 
@@ -48,25 +55,29 @@ class RenderState:
     world: World
     robot: RobotSpec
     poses: FloatArray  # (n, 3), m and rad
-    # hits, ranges: (n, n_beams): the wall that a beam hit, -1 for nothing and -2 for a robot; and the readings, m
+    # hits, ranges: (n, n_beams): the wall that a beam hit, -1 for nothing and -2 for a robot; and
+    # the readings, m
     hits: IntArray
     ranges: NDArray[np.floating]
     paths: Sequence[FloatArray]  # for each robot its past positions (k, 2), m
     # time, coverage: s, and 0 to 1
     time: float
     coverage: float
-    # seen, seen_low: which cells (rows, columns) of the coverage grid have been seen; its lower left corner (2,), m
+    # seen, seen_low: which cells (rows, columns) of the coverage grid have been seen; its lower
+    # left corner (2,), m
     seen: BoolArray
     seen_low: FloatArray
-    overlay: Sequence[Overlay] = ()  # the agents' estimates; each has the colour of the robot with the same number
+    overlay: Sequence[
+        Overlay
+    ] = ()  # the agents' estimates; each has the colour of the robot with the same number
 
 
 @dataclass(frozen=True, eq=False)
 class _Canvas:
     """A picture with the world's coordinates: x right, y up, metres.
 
-    ``origin`` (2,) is the pixel that the world's lower left corner ``low`` (2,) falls on, ``scale`` is in pixels
-    per metre.
+    ``origin`` (2,) is the pixel that the world's lower left corner ``low`` (2,) falls on, ``scale``
+    is in pixels per metre.
     """
 
     image: Image
@@ -82,7 +93,10 @@ class _Canvas:
         return min(max(round(metres * self.scale), 1), most)
 
     def pixels(self, points: FloatArray) -> NDArray[np.int32]:
-        scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + self.origin
+        scaled = (np.asarray(points, dtype=float) - self.low) * (
+            self.scale,
+            -self.scale,
+        ) + self.origin
         # What an agent believes may lie anywhere; OpenCV counts in 32 bits.
         return np.asarray(np.round(np.clip(scaled, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32)
 
@@ -107,14 +121,18 @@ class _Canvas:
 
     def arrow(self, pose: FloatArray, length: float, colour: Colour) -> None:
         """A small arrow head around a pose (3,), as long as a number of pixels."""
-        corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (length / self.scale)
+        corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (
+            length / self.scale
+        )
         cos, sin = math.cos(pose[2]), math.sin(pose[2])
         self.polygon(pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]), colour)
 
 
 @dataclass(frozen=True, eq=False)
 class Background:
-    """What of a picture does not change: a canvas with the unseen world, and how much lighter it is where seen."""
+    """What of a picture does not change: a canvas with the unseen world, and how much lighter it is
+    where seen.
+    """
 
     canvas: _Canvas
     light: Image
@@ -133,28 +151,41 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     state
         What is drawn.
     background
-        Of the same world, by :func:`square_background`. None makes a picture as wide as its world needs it.
+        Of the same world, by :func:`square_background`. None makes a picture as wide as its world
+        needs it.
     """
     background = background or _background(state.world, _NARROWEST, _WIDEST)
     canvas = background.canvas.on(background.canvas.image.copy())
     mask = _seen_mask(canvas, state.seen, state.seen_low)
-    cv2.add(canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image)
+    cv2.add(
+        canvas.image,
+        cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255),
+        canvas.image,
+    )
     for number, path in enumerate(state.paths):
         if len(path) > 1:
-            canvas.path(thinned(path, _TRAIL_POINTS), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
+            canvas.path(
+                thinned(path, _TRAIL_POINTS),
+                _mixed(_robot_colour(number), _SEEN, 0.45),
+                canvas.width(0.02, 2),
+            )
     for number in range(len(state.poses)):
         _draw_beams(canvas, state, number)
     for number, pose in enumerate(state.poses):
         _draw_robot(canvas, pose, state.robot.radius, _robot_colour(number))
     for number, overlay in enumerate(state.overlay):
-        _draw_overlay(canvas, overlay, state.robot.radius, _mixed(_robot_colour(number), _WALL, 0.3))
+        _draw_overlay(
+            canvas, overlay, state.robot.radius, _mixed(_robot_colour(number), _WALL, 0.3)
+        )
     _draw_caption(canvas.image, state.time, state.coverage)
     return canvas.image
 
 
 # Nothing else in a picture takes as long.
 @functools.lru_cache(maxsize=16)
-def _background(world: World, least_width: int, most_width: int, least_height: int = 0) -> Background:
+def _background(
+    world: World, least_width: int, most_width: int, least_height: int = 0
+) -> Background:
     canvas = _new_canvas(world, least_width, most_width, least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
@@ -173,19 +204,25 @@ def _new_canvas(world: World, least_width: int, most_width: int, least_height: i
     columns, rows = np.ceil(extent * scale).astype(int) + 2 * _MARGIN
     # Video codecs want even sides.
     columns, rows = max(columns + columns % 2, least_width + least_width % 2), rows + rows % 2
-    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2])
+    origin = np.array(
+        [0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2]
+    )
     rows = max(rows, least_height)
     return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
 
 
 def _draw_floor(canvas: _Canvas, world: World, colour: Colour) -> None:
-    """Colour all that the outside does not get to: walls are a drawing, and need not be a closed outline."""
+    """Colour all that the outside does not get to: walls are a drawing, and need not be a closed
+    outline.
+    """
     gap = max(round(_OUTSIDE_GAP * canvas.scale), 1)
     walls = canvas.on(np.zeros(canvas.image.shape[:2], dtype=np.uint8))
     walls.lines(np.vstack((world.edges, world.doors)), (1, 1, 1), gap)
     outside = np.pad(np.where(walls.image, 1, 0).astype(np.uint8), 1)
     cv2.floodFill(outside, None, (0, 0), (2, 2, 2))
-    grown = cv2.dilate((outside == 2).astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap)))
+    grown = cv2.dilate(
+        (outside == 2).astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
+    )
     canvas.image[grown[1:-1, 1:-1] == 0] = colour
 
 
@@ -198,7 +235,11 @@ def _draw_walls(canvas: _Canvas, world: World) -> None:
 def _draw_scale(canvas: _Canvas) -> None:
     """A bar of a round length at the upper right."""
     right, most = canvas.image.shape[1] - _MARGIN, 0.2 * canvas.image.shape[1] / canvas.scale
-    length = max(size for size in (0.01, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0) if size <= most)
+    length = max(
+        size
+        for size in (0.01, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
+        if size <= most
+    )
     left = right - round(length * canvas.scale)
     cv2.line(canvas.image, (left, 20), (right, 20), _TEXT, 2)
     words = f"{length:g} m"
@@ -206,7 +247,9 @@ def _draw_scale(canvas: _Canvas) -> None:
 
 
 def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray) -> Image:
-    """How far each pixel has been seen, 0 to 255: the corners of the cells are rounded off, and their edges soft."""
+    """How far each pixel has been seen, 0 to 255: the corners of the cells are rounded off, and
+    their edges soft.
+    """
     # From the centre of a pixel to a column and a row; a cell's centre has a whole number.
     step = 1.0 / (canvas.scale * CELL)
     column, row = (canvas.low - low) / CELL - 0.5
@@ -252,7 +295,9 @@ def _draw_overlay(canvas: _Canvas, overlay: Overlay, radius: float, colour: Colo
         _draw_ghost(canvas, overlay.pose, overlay.covariance, radius)
 
 
-def _draw_ghost(canvas: _Canvas, pose: FloatArray, covariance: FloatArray | None, radius: float) -> None:
+def _draw_ghost(
+    canvas: _Canvas, pose: FloatArray, covariance: FloatArray | None, radius: float
+) -> None:
     size = max(radius * canvas.scale, 4.0)
     nose = pose[:2] + 1.6 * size / canvas.scale * np.array([math.cos(pose[2]), math.sin(pose[2])])
     canvas.disc(pose[:2], size, _BELIEF, 1)
@@ -267,12 +312,20 @@ def _draw_caption(image: Image, time: float, coverage: float) -> None:
     left, right = _MARGIN + 76, _MARGIN + 146
     cv2.rectangle(image, (left, 18), (right, 22), _BAR, -1)
     if coverage > 0.0:
-        cv2.rectangle(image, (left, 18), (left + round((right - left) * min(coverage, 1.0)), 22), _ROBOTS[1], -1)
+        cv2.rectangle(
+            image,
+            (left, 18),
+            (left + round((right - left) * min(coverage, 1.0)), 22),
+            _ROBOTS[1],
+            -1,
+        )
     _text(image, f"{100.0 * coverage:.1f} %", right + 8, 24)
 
 
 def _text(image: Image, words: str, x: int, y: int) -> None:
-    """Words whose baseline begins at (x, y). Each letter is placed by its own width, so that no letters touch."""
+    """Words whose baseline begins at (x, y). Each letter is placed by its own width, so that no
+    letters touch.
+    """
     for letter in words:
         cv2.putText(image, letter, (x, y), *_FONT, _TEXT, 1, cv2.LINE_AA)
         x += _text_width(letter)

@@ -1,4 +1,6 @@
-"""The window of the ``human`` render mode, on pygame (extra ``play``), which is loaded when the window opens."""
+"""The window of the ``human`` render mode, on pygame (extra ``play``), which is loaded when the
+window opens.
+"""
 
 import os
 import sys
@@ -20,9 +22,10 @@ class Window:
 
     One process has one window: where several are open, the last one to show a picture has it.
 
-    It has a ``title``, and shows at most ``fps`` pictures a second: :meth:`show` waits until the next one is due. The
-    attribute ``message`` is a line that is shown over the lower margin of the pictures, empty for none, and ``closed``
-    whether the window has been closed, by its user or by :meth:`close`.
+    It has a ``title``, and shows at most ``fps`` pictures a second: :meth:`show` waits until the
+    next one is due. The attribute ``message`` is a line that is shown over the lower margin of the
+    pictures, empty for none, and ``closed`` whether the window has been closed, by its user or by
+    :meth:`close`.
 
     Raises
     ------
@@ -50,17 +53,25 @@ class Window:
         if self.closed:
             return
         pygame, size = self._pygame, (image.shape[1], image.shape[0])
-        if self._screen is None or pygame.display.get_surface() is not self._screen or self._screen.get_size() != size:
+        if (
+            self._screen is None
+            or pygame.display.get_surface() is not self._screen
+            or self._screen.get_size() != size
+        ):
             self._open(size)
         if self._screen is not None:
-            self._screen.blit(pygame.image.frombuffer(np.ascontiguousarray(image).tobytes(), size, "RGB"), (0, 0))
+            self._screen.blit(
+                pygame.image.frombuffer(np.ascontiguousarray(image).tobytes(), size, "RGB"), (0, 0)
+            )
             self._write_message(self._screen)
             pygame.display.flip()
         self._listen()
         self._clock.tick(self.fps)
 
     def pressed_keys(self) -> frozenset[str]:
-        """Names of the keys that are held, or were pressed since the last call ("left", "w", "space", ...)."""
+        """Names of the keys that are held, or were pressed since the last call ("left", "w",
+        "space", ...).
+        """
         self._listen()
         keys = frozenset(self._held | self._pressed)
         self._pressed.clear()
@@ -89,7 +100,9 @@ class Window:
         pygame.display.set_caption(self.title)
 
     def _listen(self) -> None:
-        """Take in what has happened since the last look. Without this, the system calls the window unresponsive."""
+        """Take in what has happened since the last look. Without this, the system calls the window
+        unresponsive.
+        """
         pygame = self._pygame
         if self._screen is None or not pygame.display.get_init():
             return
@@ -126,11 +139,15 @@ def _load_pygame() -> Any:
     try:
         import pygame
     except ImportError as error:
-        raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'") from error
+        raise DependencyNotInstalled(
+            "a window needs pygame: pip install 'limslam[play]'"
+        ) from error
     return pygame
 
 
 def has_display() -> bool:
-    """Whether there is a display to open a window on. Without a display, pictures are drawn and not shown."""
+    """Whether there is a display to open a window on. Without a display, pictures are drawn and not
+    shown.
+    """
     wanted = ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY")
     return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in wanted)

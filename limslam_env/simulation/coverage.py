@@ -63,19 +63,28 @@ def _coverage_grid(
         reachable |= space.labels == region
     around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
     look_out(
-        walls, _VIEWS, robot.reach,
-        np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
+        walls,
+        _VIEWS,
+        robot.reach,
+        np.array(loose).reshape(-1, 2),
+        np.array([*space.origin, space.cell]),
+        reachable,
         eroded(reachable),
-        grid.area, grid.coverable,
+        grid.area,
+        grid.coverable,
         np.zeros(around.astype(int), dtype=bool),
-    )  # fmt: skip
+    )
     return grid
 
 
 def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> CoverageGrid:
-    """What robots (all alike) that start at poses (n, 3) could cover; remembered for later calls."""
+    """What robots (all alike) that start at poses (n, 3) could cover; remembered for later
+    calls.
+    """
     space = world.free_space(robot.radius)
     labels = [space.label_of(start[:2]) for start in starts]
     # A robot may stand where the grid of free space is too coarse to hold it.
-    loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)
+    loose = tuple(
+        (float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0
+    )
     return _coverage_grid(world, robot, frozenset(labels) - {0}, loose)

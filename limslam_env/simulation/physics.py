@@ -1,9 +1,10 @@
 """The motion of round robots and their contact with walls and each other, with pymunk.
 
-A robot that is far from all obstacles moves to the end of the arc of its wheels. ``kernels.observation`` does the same
-where it measures. Near obstacles pymunk moves the bodies and reports their contacts. pymunk's contact solver is
-switched off, because in one step of 0.1 s a robot could penetrate a wall by 3 cm before the solver notices, and because
-the wheels set a new velocity at each step. Instead, a robot that overlaps an obstacle is moved out of it along the
+A robot that is far from all obstacles moves to the end of the arc of its wheels.
+``kernels.observation`` does the same where it measures. Near obstacles pymunk moves the bodies and
+reports their contacts. pymunk's contact solver is switched off, because in one step of 0.1 s a
+robot could penetrate a wall by 3 cm before the solver notices, and because the wheels set a new
+velocity at each step. Instead, a robot that overlaps an obstacle is moved out of it along the
 shortest way: it slides without friction and turns freely.
 """
 
@@ -28,7 +29,8 @@ _Pose: TypeAlias = tuple[float, float, float]
 
 
 class Physics:
-    """Round robots of one ``radius``, m, among walls (k, 4), m; :meth:`place` them before the first step.
+    """Round robots of one ``radius``, m, among walls (k, 4), m; :meth:`place` them before the first
+    step.
 
     Attributes
     ----------
@@ -48,7 +50,8 @@ class Physics:
             self._space.add(wall)
         self._bodies = [self._add_robot(number) for number in range(num_robots)]
         self._filters = [
-            pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT) for number in range(num_robots)
+            pymunk.ShapeFilter(group=number + 1, categories=_QUERY, mask=_WALL | _ROBOT)
+            for number in range(num_robots)
         ]
         # A disc has no orientation, so pymunk does not have to know the headings.
         self.current, self.motion = np.zeros((num_robots, 3)), np.zeros(3)
@@ -65,7 +68,8 @@ class Physics:
         return self.current.copy()
 
     def step(self, travel: Sequence[Sequence[float]], period: float) -> list[bool]:
-        """Carry each robot's wheels on by ``travel``, m, in ``period`` s; returns whether each robot touched something.
+        """Carry each robot's wheels on by ``travel``, m, in ``period`` s; returns whether each
+        robot touched something.
 
         Without contact the new pose is the end of the exact arc of constant wheel speeds:
         a body that pymunk moves gets the velocity of the arc's chord.
@@ -79,12 +83,17 @@ class Physics:
         contacts = [self._move(pieces, period / parts, farthest / parts) for _ in range(parts)]
         return [any(robot) for robot in zip(*contacts, strict=True)]
 
-    def _move(self, travel: Sequence[Sequence[float]], period: float, farthest: float) -> list[bool]:
+    def _move(
+        self, travel: Sequence[Sequence[float]], period: float, farthest: float
+    ) -> list[bool]:
         # Two robots may approach each other.
         self.motion[CLEARANCE] -= farthest if len(travel) == 1 else 2.0 * farthest
         before: list[_Pose] = [(x, y, heading) for x, y, heading in self.current.tolist()]
         axle = float(self.motion[AXLE])
-        goals = [arc_end(*pose, left, right, axle) for pose, (left, right) in zip(before, travel, strict=True)]
+        goals = [
+            arc_end(*pose, left, right, axle)
+            for pose, (left, right) in zip(before, travel, strict=True)
+        ]
         if self.motion[CLEARANCE] <= 0.0:
             return self._move_bodies(before, goals, period)
         # No robot can touch anything: pymunk is not needed.
@@ -97,11 +106,16 @@ class Physics:
             body.velocity = (goal_x - x) / period, (goal_y - y) / period
         self._space.step(period)
         contact = self._separate() if self._touches_or_looks_ahead() else [False] * len(goals)
-        self.current[:] = [(*body.position, heading) for body, (_, _, heading) in zip(self._bodies, goals, strict=True)]
+        self.current[:] = [
+            (*body.position, heading)
+            for body, (_, _, heading) in zip(self._bodies, goals, strict=True)
+        ]
         return contact
 
     def _touches_or_looks_ahead(self) -> bool:
-        """Whether a robot touches something; if none does, the clearance says for how long none can."""
+        """Whether a robot touches something; if none does, the clearance says for how long none
+        can.
+        """
         nearest = [self._nearest(number, _OUTLOOK) for number in range(len(self._bodies))]
         gaps = [_OUTLOOK if found is None else found.distance - self._radius for found in nearest]
         self.motion[CLEARANCE] = clearance = min(gaps) - TOUCH
@@ -121,8 +135,9 @@ class Physics:
             pushed = [self._push_out(number, contact) for number in range(len(self._bodies))]
             if not any(pushed):
                 return contact
-        # Between walls at a sharp angle the pushes do not converge: robots that still overlap something return
-        # to their positions before the step. Another robot may have moved there, and then has to return as well.
+        # Between walls at a sharp angle the pushes do not converge: robots that still overlap
+        # something return to their positions before the step. Another robot may have moved there,
+        # and then has to return as well.
         for _ in self._bodies:
             deep = [number for number in range(len(self._bodies)) if self._is_deep(number)]
             for number in deep:
@@ -152,14 +167,21 @@ class Physics:
 
     def _nearest(self, number: int, outlook: float) -> pymunk.PointQueryInfo | None:
         position = self._bodies[number].position
-        return self._space.point_query_nearest(position, self._radius + outlook, self._filters[number])
+        return self._space.point_query_nearest(
+            position, self._radius + outlook, self._filters[number]
+        )
 
     def _put(self, body: pymunk.Body, place: tuple[float, float]) -> None:
         body.position = place
         self._space.reindex_shapes_for_body(body)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"edges": self._edges, "radius": self._radius, "poses": self.current, "motion": self.motion}
+        return {
+            "edges": self._edges,
+            "radius": self._radius,
+            "poses": self.current,
+            "motion": self.motion,
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))

@@ -1,4 +1,6 @@
-"""The index of walls for ray casting, the tables of beams and noise for the kernels, and random numbers for steps."""
+"""The index of walls for ray casting, the tables of beams and noise for the kernels, and random
+numbers for steps.
+"""
 
 from collections.abc import Mapping
 from typing import Any
@@ -30,7 +32,9 @@ def build_wall_index(edges: FloatArray) -> Walls:
 
 
 def walls_around(walls: Walls, reach: float) -> tuple[IntArray, IntArray]:
-    """The walls within ``reach`` (m) of each cell, as ``cell_starts`` and ``cell_edges`` of :class:`Walls` are."""
+    """The walls within ``reach`` (m) of each cell, as ``cell_starts`` and ``cell_edges`` of
+    :class:`Walls` are.
+    """
     count = walls.columns * walls.rows
     starts, empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
     list_walls(walls, reach, np.zeros(count, dtype=np.int64), starts, empty)
@@ -39,8 +43,11 @@ def walls_around(walls: Walls, reach: float) -> tuple[IntArray, IntArray]:
     return starts, numbers
 
 
-def cast(walls: Walls, origins: FloatArray, directions: FloatArray, lengths: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Distances (n,), m, and walls hit (n,) of rays from (n, 2) along unit vectors (n, 2), (n,) m long.
+def cast(
+    walls: Walls, origins: FloatArray, directions: FloatArray, lengths: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Distances (n,), m, and walls hit (n,) of rays from (n, 2) along unit vectors (n, 2), (n,) m
+    long.
 
     A ray that hits nothing has its own length, and -1.
     """
@@ -57,25 +64,45 @@ def beam_table(robot: RobotSpec) -> FloatArray:
 
 
 def noise_table(values: Mapping[str, Any], robot: RobotSpec) -> FloatArray:
-    """The noise (14,) with the columns of :mod:`limslam_env.kernels.readings`, of the values of a ``NoiseConfig``."""
+    """The noise (14,) with the columns of :mod:`limslam_env.kernels.readings`, of the values of a
+    ``NoiseConfig``.
+    """
     names = "sensor_noise", "range_noise_growth", "dropout", "range_resolution", "fold_back", "cone"
     mismatch = values["wheel_mismatch"]
     encoders = (
-        1.0 + mismatch, 1.0 - mismatch, values["wheel_variance"], values["encoder_resolution"], robot.max_wheel_travel,
-    )  # fmt: skip
+        1.0 + mismatch,
+        1.0 - mismatch,
+        values["wheel_variance"],
+        values["encoder_resolution"],
+        robot.max_wheel_travel,
+    )
     axle = robot.axle * (1.0 + values["axle_mismatch"])
-    return np.array([*(values[name] for name in names), *encoders, values["slip_rate"], values["slip_share"], axle])
+    return np.array(
+        [
+            *(values[name] for name in names),
+            *encoders,
+            values["slip_rate"],
+            values["slip_share"],
+            axle,
+        ]
+    )
 
 
 class StepDraws:
-    """Numbers from N(0, 1) and U(0, 1) for each beam and each wheel of all robots, generated for many steps at once.
+    """Numbers from N(0, 1) and U(0, 1) for each beam and each wheel of all robots, generated for
+    many steps at once.
 
-    A step takes the same numbers whatever the noise is, so that runs with equal seeds can be compared in pairs. Beams
-    and wheels have separate generators, so that the number of beams does not change the wheels' noise.
+    A step takes the same numbers whatever the noise is, so that runs with equal seeds can be
+    compared in pairs. Beams and wheels have separate generators, so that the number of beams does
+    not change the wheels' noise.
     """
 
     def __init__(
-        self, ranges: np.random.Generator, wheels: np.random.Generator, num_robots: int, num_beams: int
+        self,
+        ranges: np.random.Generator,
+        wheels: np.random.Generator,
+        num_robots: int,
+        num_beams: int,
     ) -> None:
         self._ranges, self._wheels, self._num_beams = ranges, wheels, num_beams
         self._shape = (_BLOCK, num_robots, num_beams + _NUM_WHEELS, 2)

@@ -1,4 +1,6 @@
-"""The simulation of one or several robots in one world: physics, sensors, odometry and the ground truth."""
+"""The simulation of one or several robots in one world: physics, sensors, odometry and the ground
+truth.
+"""
 
 import math
 from collections.abc import Sequence
@@ -38,12 +40,14 @@ class Truth(NamedTuple):
     poses, contact
         (n, 3), m and rad; and which robots touched something.
     time, coverage
-        Since the reset, s; and the share of the coverable cells that have been seen by any robot, 0 to 1.
+        Since the reset, s; and the share of the coverable cells that have been seen by any robot, 0
+        to 1.
     new_area
-        Coverable area that each robot was the first to see in this step, m^2. Area that two robots see in the same
-        step counts for the robot with the lower number.
+        Coverable area that each robot was the first to see in this step, m^2. Area that two robots
+        see in the same step counts for the robot with the lower number.
     wall_seen
-        (n, n_beams): index of the wall that each beam's latest measurement hit, -1 nothing, -2 a robot.
+        (n, n_beams): index of the wall that each beam's latest measurement hit, -1 nothing, -2 a
+        robot.
     """
 
     poses: FloatArray
@@ -57,7 +61,8 @@ class Truth(NamedTuple):
 class Simulation:
     """``num_robots`` robots of one kind in a world.
 
-    The attribute ``coverage_grid``, the cells that count for coverage, is known after the first reset.
+    The attribute ``coverage_grid``, the cells that count for coverage, is known after the first
+    reset.
 
     Raises
     ------
@@ -87,10 +92,11 @@ class Simulation:
     def reset(
         self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
     ) -> tuple[Readings, Truth]:
-        """Begin again at ``start``, pose (3,) of robot 0 or poses (num_robots, 3), or else at the world's starts.
+        """Begin again at ``start``, pose (3,) of robot 0 or poses (num_robots, 3), or else at the
+        world's starts.
 
-        Start, ranges, wheels and settings get a generator each from the seeds, so that runs with other noise share
-        their starts and their draws. Ranges in ``noise`` are drawn from now.
+        Start, ranges, wheels and settings get a generator each from the seeds, so that runs with
+        other noise share their starts and their draws. Ranges in ``noise`` are drawn from now.
 
         Raises
         ------
@@ -108,32 +114,60 @@ class Simulation:
         self._total, self._seen = max(grid.total, 1), np.zeros_like(grid.coverable)
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
-        self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
+        self._hits, self._ranges = (
+            np.zeros(shape, dtype=np.int64),
+            np.zeros(shape, dtype=np.float32),
+        )
         self._travel, self._ground, self._unreported = (np.zeros((count, 2)) for _ in range(3))
-        self._reported, self._new_cells = np.zeros((count, 2), dtype=np.float32), np.zeros(count, dtype=np.int64)
+        self._reported, self._new_cells = (
+            np.zeros((count, 2), dtype=np.float32),
+            np.zeros(count, dtype=np.int64),
+        )
         self._arrays = (
-            self._physics.current, self._physics.motion, self._travel, self._ground, robot.radius, self._beams,
-            self._noise, self._walls, self._seen, grid.coverable, grid.area, self._unreported, self._hits, self._ranges,
-            self._reported, self._new_cells,
-        )  # fmt: skip
+            self._physics.current,
+            self._physics.motion,
+            self._travel,
+            self._ground,
+            robot.radius,
+            self._beams,
+            self._noise,
+            self._walls,
+            self._seen,
+            grid.coverable,
+            grid.area,
+            self._unreported,
+            self._hits,
+            self._ranges,
+            self._reported,
+            self._new_cells,
+        )
         drive_and_observe(True, 0, self._draws.next(), *self._arrays)  # noqa: FBT003 (kernels take no keywords)
         return self._results([False] * count)
 
     def carry(self, number: int, pose: FloatArray) -> None:
-        """Carry a robot to another pose (3,), where it reads its beams in the next step. Its wheels do not turn."""
+        """Carry a robot to another pose (3,), where it reads its beams in the next step. Its wheels
+        do not turn.
+        """
         self.world.check_poses(np.asarray(pose, dtype=float)[None], self.robot.radius)
         poses = self._physics.poses
         poses[number] = pose
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
 
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
-        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
+        """Drive for one control period with each robot's left and right wheel speed, fractions of
+        the maximum.
+        """
         if len(actions) != self.num_robots:
-            raise ValueError(f"there must be an action for each of {self.num_robots} robots, not {len(actions)}")
+            raise ValueError(
+                f"there must be an action for each of {self.num_robots} robots, not {len(actions)}"
+            )
         self._steps += 1
         draws, travel = self._draws.next(), self._travel
         for robot, (left, right) in enumerate(actions):
-            travel[robot, 0], travel[robot, 1] = _clipped(left) * self._farthest, _clipped(right) * self._farthest
+            travel[robot, 0], travel[robot, 1] = (
+                _clipped(left) * self._farthest,
+                _clipped(right) * self._farthest,
+            )
         contact = [False] * self.num_robots
         if not drive_and_observe(False, self._steps, draws, *self._arrays):  # noqa: FBT003
             contact = self._physics.step(self._ground.tolist(), self.robot.control_period)

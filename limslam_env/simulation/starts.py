@@ -17,17 +17,21 @@ class StartingPlaces:
     """The known start poses, and the cells in which the other robots may start."""
 
     given: FloatArray  # poses (g, 3) of the first robots, m and rad
-    # cells, space: numbers (k,) of the free cells, row by row, for robots without a pose, none if each robot has one;
-    # and their grid (4,): lower left corner x, y and side of the cells, m, and columns
+    # cells, space: numbers (k,) of the free cells, row by row, for robots without a pose, none if
+    # each robot has one; and their grid (4,): lower left corner x, y and side of the cells, m, and
+    # columns
     cells: IntArray
     space: FloatArray
-    # (k,), which of the cells lie in a pocket (:meth:`limslam_env.worlds.free_space.FreeSpace.pockets`). No robot is
-    # put there, since it could hardly get out.
+    # (k,), which of the cells lie in a pocket
+    # (:meth:`limslam_env.worlds.free_space.FreeSpace.pockets`). No robot is put there, since it
+    # could hardly get out.
     is_pocket: BoolArray
 
     @property
     def known(self) -> FloatArray:
-        """Poses (n, 3), one at least, m and rad: the regions that robots will start in are those of these."""
+        """Poses (n, 3), one at least, m and rad: the regions that robots will start in are those of
+        these.
+        """
         if len(self.given):
             return self.given
         return np.array([[*self.centre(int(self.cells[0])), 0.0]])
@@ -43,15 +47,23 @@ def least_distance(robot: RobotSpec) -> float:
     return 2.5 * robot.radius
 
 
-def starting_places(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None) -> StartingPlaces:
-    """Find the places that robots may start at: ``start``, pose (3,) or poses (n, 3), then the world's, then free ones.
+def starting_places(
+    world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None
+) -> StartingPlaces:
+    """Find the places that robots may start at: ``start``, pose (3,) or poses (n, 3), then the
+    world's, then free ones.
 
-    A WorldError says that a given start cannot be used (:func:`known_poses`), or that there is no room at all.
+    A WorldError says that a given start cannot be used (:func:`known_poses`), or that there is no
+    room at all.
     """
     given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
     known, counts = known_poses(world, robot, num_robots, given[None])
     poses = known[0, : counts[0]]
-    cells, space, is_pocket = np.zeros(0, dtype=np.int64), np.array([0.0, 0.0, 1.0, 1.0]), np.zeros(0, dtype=bool)
+    cells, space, is_pocket = (
+        np.zeros(0, dtype=np.int64),
+        np.array([0.0, 0.0, 1.0, 1.0]),
+        np.zeros(0, dtype=bool),
+    )
     if len(poses) < num_robots:
         grid = world.free_space(robot.radius)
         region = grid.region_of(poses[0, :2]) if len(poses) else grid.largest_closed_region()
@@ -62,11 +74,15 @@ def starting_places(world: World, robot: RobotSpec, num_robots: int, start: Floa
     return StartingPlaces(poses, cells, space, is_pocket)
 
 
-def known_poses(world: World, robot: RobotSpec, num_robots: int, given: FloatArray) -> tuple[FloatArray, IntArray]:
-    """The given poses (k, s, 3) of the first robots in k environments, and after them those of the world that fit in.
+def known_poses(
+    world: World, robot: RobotSpec, num_robots: int, given: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """The given poses (k, s, 3) of the first robots in k environments, and after them those of the
+    world that fit in.
 
-    Returns poses (k, num_robots, 3), m and rad, 0 where a robot has none, and how many there are (k,). A WorldError
-    says that a given start collides or lies outside, or that two start in one place.
+    Returns poses (k, num_robots, 3), m and rad, 0 where a robot has none, and how many there are
+    (k,). A WorldError says that a given start collides or lies outside, or that two start in one
+    place.
     """
     count, number = given.shape[:2]
     if number > num_robots:
@@ -87,14 +103,22 @@ def known_poses(world: World, robot: RobotSpec, num_robots: int, given: FloatArr
 
 
 def drawn_starts(
-    places: StartingPlaces, world: World, robot: RobotSpec, num_robots: int, generator: np.random.Generator
+    places: StartingPlaces,
+    world: World,
+    robot: RobotSpec,
+    num_robots: int,
+    generator: np.random.Generator,
 ) -> FloatArray:
-    """Poses (num_robots, 3) of all robots, m and rad, random free ones for some; a WorldError if there is no room."""
+    """Poses (num_robots, 3) of all robots, m and rad, random free ones for some; a WorldError if
+    there is no room.
+    """
     poses = list(places.given)
     if len(poses) == num_robots:
         return places.given
     for number in generator.choice(len(places.cells), TRIES):
-        pose = np.array([*places.centre(int(places.cells[number])), generator.uniform(-np.pi, np.pi)])
+        pose = np.array(
+            [*places.centre(int(places.cells[number])), generator.uniform(-np.pi, np.pi)]
+        )
         others = np.array(poses).reshape(1, -1, 3)
         if not places.is_pocket[number] and are_apart(pose[None], others, robot)[0]:
             poses.append(pose)
@@ -108,7 +132,9 @@ def no_room(world: World, num_robots: int) -> WorldError:
     return WorldError(f"world {world.name!r}: no room for {num_robots} robots")
 
 
-def are_apart(poses: FloatArray, others: FloatArray, robot: RobotSpec, counted: BoolArray | None = None) -> BoolArray:
+def are_apart(
+    poses: FloatArray, others: FloatArray, robot: RobotSpec, counted: BoolArray | None = None
+) -> BoolArray:
     """Whether poses (k, 3) are far enough from others (k, n, 3) for robots to start at both.
 
     Only the ``counted`` (k, n) of the others matter, or all.

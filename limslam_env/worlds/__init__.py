@@ -1,1 +1,3 @@
-"""Worlds: walls, obstacles, doors and starts; the files that describe them; and random floor plans."""
+"""Worlds: walls, obstacles, doors and starts; the files that describe them; and random floor
+plans.
+"""

@@ -13,7 +13,8 @@ from limslam_env.worlds.world import World
 SMALL_SHARE = 0.5
 """Share of the floor below which a start region counts as small."""
 
-_OPEN_SHARE = 0.25  # share of the rectangle around a building below which its enclosed floor is hardly all of it
+# share of the rectangle around a building below which its enclosed floor is hardly all of it
+_OPEN_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,11 @@ class StartRegion:
     Attributes
     ----------
     area
-        Floor that robots can cover from the starts, m^2. In a world without starts, that of the largest closed region.
+        Floor that robots can cover from the starts, m^2. In a world without starts, that of the
+        largest closed region.
     floor, is_open
-        All floor that is enclosed by walls, m^2, or the rectangle around all walls, if so little is enclosed that the
-        outer wall must be open.
+        All floor that is enclosed by walls, m^2, or the rectangle around all walls, if so little is
+        enclosed that the outer wall must be open.
     """
 
     area: float
@@ -47,7 +49,8 @@ class StartRegion:
     def warning(self) -> str | None:
         """One line about an open outer wall or a small region. None if there is nothing to say."""
         region = (
-            f"robots start in a region of {self.area:.1f} m^2, {self.share:.1%} of the floor of {self.floor:.1f} m^2"
+            f"robots start in a region of {self.area:.1f} m^2, {self.share:.1%} of the floor of "
+            f"{self.floor:.1f} m^2"
         )
         if self.is_open:
             return f"the outer wall is open, so most of the floor cannot be used; {region}"
@@ -59,14 +62,19 @@ def start_region(world: World, radius: float) -> StartRegion:
     """Measure the start region of robots of a ``radius`` (m)."""
     space = world.free_space(radius)
     closed = space.free & ~np.isin(space.labels, space.border_labels)
-    area, floor = covered_area(starting_cells(world, space), space, radius), covered_area(closed, space, radius)
+    area, floor = (
+        covered_area(starting_cells(world, space), space, radius),
+        covered_area(closed, space, radius),
+    )
     around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0)))
     is_open = floor < _OPEN_SHARE * around
     return StartRegion(area, around if is_open else floor, is_open)
 
 
 def starting_cells(world: World, space: FreeSpace) -> BoolArray:
-    """The cells of a world's free space that robots can reach from its starts, or its largest closed region."""
+    """The cells of a world's free space that robots can reach from its starts, or its largest
+    closed region.
+    """
     if not len(world.starts):
         return space.largest_closed_region()
     labels = {space.label_of(start[:2]) for start in world.starts} - {0}

@@ -25,7 +25,9 @@ _PAIRS = 200_000  # points and edges that are compared in one go
 
 
 class WorldError(ValueError):
-    """A world, or the file that describes one, that cannot be used. The message, of one line, says where and why."""
+    """A world, or the file that describes one, that cannot be used. The message, of one line, says
+    where and why.
+    """
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
@@ -67,18 +69,26 @@ class World:
             object.__setattr__(self, name, _frozen(getattr(self, name), name, width))
         obstacles = tuple(_frozen(polygon, "obstacles", 2) for polygon in self.obstacles)
         object.__setattr__(self, "obstacles", obstacles)
-        if len(self.size) != 2 or not all(math.isfinite(side) and 0.0 < side <= MAX_SIDE for side in self.size):
+        if len(self.size) != 2 or not all(
+            math.isfinite(side) and 0.0 < side <= MAX_SIDE for side in self.size
+        ):
             sides = ", ".join(f"{side:g}" for side in self.size)
-            raise WorldError(f"size must be two lengths up to {MAX_SIDE:g} m, not [{sides}]: are they in m?")
+            raise WorldError(
+                f"size must be two lengths up to {MAX_SIDE:g} m, not [{sides}]: are they in m?"
+            )
         object.__setattr__(self, "size", (float(self.size[0]), float(self.size[1])))
         _check_edges(self)
         for number, theta in enumerate(self.starts[:, 2]):
             if abs(theta) > 4.0 * math.pi:
-                raise WorldError(f"starts[{number}]: a heading is within 4 pi rad, not {theta:g}: is it in rad?")
+                raise WorldError(
+                    f"starts[{number}]: a heading is within 4 pi rad, not {theta:g}: is it in rad?"
+                )
 
     @functools.cached_property
     def edges(self) -> FloatArray:
-        """Everything that blocks a beam, (k, 4): the walls first, then the obstacles' edges in order."""
+        """Everything that blocks a beam, (k, 4): the walls first, then the obstacles' edges in
+        order.
+        """
         edges = np.vstack((self.walls, *(polygon_edges(polygon) for polygon in self.obstacles)))
         edges.setflags(write=False)
         return edges
@@ -100,7 +110,8 @@ class World:
         return hash(self.digest)
 
     def __reduce__(self) -> tuple[type["World"], tuple[Any, ...]]:
-        # A pickle is read by the constructor, which makes read-only arrays. Those of numpy's own pickles are writable.
+        # A pickle is read by the constructor, which makes read-only arrays. Those of numpy's own
+        # pickles are writable.
         return World, tuple(getattr(self, part.name) for part in fields(self))
 
     def free_space(self, radius: float) -> FreeSpace:
@@ -108,7 +119,9 @@ class World:
         return _free_space(self, radius)
 
     def check(self, radius: float) -> None:
-        """Raise a WorldError if a start collides with a robot of ``radius`` (m), if it fits nowhere, or could leave."""
+        """Raise a WorldError if a start collides with a robot of ``radius`` (m), if it fits
+        nowhere, or could leave.
+        """
         if len(self.starts):
             self._check_starts(self.starts, radius, "starts[{}]".format)
             self._check_closed(self.starts[:, :2], radius, "starts[{}]".format)
@@ -116,11 +129,15 @@ class World:
         space = self.free_space(radius)
         region = space.largest_closed_region()
         if not region.any():
-            raise WorldError(f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius")
+            raise WorldError(
+                f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius"
+            )
         self._check_closed(space.first_centre(region)[None], radius, lambda _: "its largest region")
 
     def check_poses(self, poses: FloatArray, radius: float) -> None:
-        """Raise a WorldError if one of the poses (n, 3) is not finite, or no start for a robot of ``radius`` (m)."""
+        """Raise a WorldError if one of the poses (n, 3) is not finite, or no start for a robot of
+        ``radius`` (m).
+        """
         self._check_starts(poses, radius, lambda _: "start")
         self._check_closed(poses[:, :2], radius, lambda number: f"start {_text(poses[number])}")
 
@@ -128,28 +145,38 @@ class World:
         is_open = _wide_space(self, radius).is_open(points)
         if is_open.any():
             raise WorldError(
-                f"world {self.name!r}: {label(int(np.argmax(is_open)))} lies in a region that is not closed: "
+                f"world {self.name!r}: {label(int(np.argmax(is_open)))} lies in a region that is "
+                "not closed: "
                 f"a robot of {radius:g} m radius could leave the world"
             )
 
     def _check_starts(self, starts: FloatArray, radius: float, label: Callable[[int], str]) -> None:
-        is_pose = np.isfinite(starts).all(axis=1) if starts.ndim == 2 and starts.shape[1] == 3 else np.zeros(1, bool)
+        is_pose = (
+            np.isfinite(starts).all(axis=1)
+            if starts.ndim == 2 and starts.shape[1] == 3
+            else np.zeros(1, bool)
+        )
         if not is_pose.all():
             raise WorldError(
-                f"world {self.name!r}: {label(int(np.argmin(is_pose)))} must be three finite numbers (x, y, theta)"
+                f"world {self.name!r}: {label(int(np.argmin(is_pose)))} must be three finite "
+                "numbers (x, y, theta)"
             )
         gaps, is_inside = self._gaps(starts[:, :2])
         collides = is_inside | (gaps < radius)
         if collides.any():
             first = int(np.argmax(collides))
-            reason = "inside an obstacle" if is_inside[first] else f"{gaps[first]:.3f} m from a wall"
+            reason = (
+                "inside an obstacle" if is_inside[first] else f"{gaps[first]:.3f} m from a wall"
+            )
             raise WorldError(
                 f"world {self.name!r}: {label(first)} {_text(starts[first])} collides: "
                 f"a robot of {radius:g} m radius {reason}"
             )
 
     def _gaps(self, points: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Distance (m) of each point (n, 2) from the nearest edge, and whether it lies inside an obstacle."""
+        """Distance (m) of each point (n, 2) from the nearest edge, and whether it lies inside an
+        obstacle.
+        """
         gaps, is_inside = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
         parts = np.array_split(np.arange(len(points)), len(points) * len(self.edges) // _PAIRS + 1)
         for part in parts:
@@ -159,7 +186,8 @@ class World:
         return gaps, is_inside
 
 
-# Checks, starts, coverage and metrics all ask for it. The largest floor plans have grids of tens of megabytes.
+# Checks, starts, coverage and metrics all ask for it. The largest floor plans have grids of tens of
+# megabytes.
 @functools.lru_cache(maxsize=8)
 def _free_space(world: World, radius: float) -> FreeSpace:
     return free_space(world.edges, radius, cell_for(world.edges, radius), world.obstacles)
@@ -207,17 +235,31 @@ def _check_name(name: Any) -> None:
 def _check_edges(world: World) -> None:
     for number, polygon in enumerate(world.obstacles):
         if len(polygon) < 3:
-            raise WorldError(f"obstacles[{number}] has {len(polygon)} corners; a polygon needs three")
+            raise WorldError(
+                f"obstacles[{number}] has {len(polygon)} corners; a polygon needs three"
+            )
     if not 1 <= len(world.edges) <= MAX_EDGES:
-        raise WorldError(f"{len(world.edges)} walls and obstacle edges; 1 to {MAX_EDGES} can be used")
-    if np.abs(world.edges).max() > MAX_SIDE or np.ptp(world.edges.reshape(-1, 2), axis=0).max() > MAX_SIDE:
+        raise WorldError(
+            f"{len(world.edges)} walls and obstacle edges; 1 to {MAX_EDGES} can be used"
+        )
+    if (
+        np.abs(world.edges).max() > MAX_SIDE
+        or np.ptp(world.edges.reshape(-1, 2), axis=0).max() > MAX_SIDE
+    ):
         raise WorldError(f"walls reach further than {MAX_SIDE:g} m")
     total = float(lengths(world.edges).sum())
     if total > MAX_LENGTH:
-        raise WorldError(f"walls and obstacle edges are {total / 1e3:.0f} km long; {MAX_LENGTH / 1e3:g} km can be used")
+        raise WorldError(
+            f"walls and obstacle edges are {total / 1e3:.0f} km long; {MAX_LENGTH / 1e3:g} km can "
+            "be used"
+        )
     short = np.nonzero(lengths(world.edges) < SHORTEST_EDGE)[0]
     if short.size:
-        kind = f"walls[{short[0]}]" if short[0] < len(world.walls) else f"obstacle edge {short[0] - len(world.walls)}"
+        kind = (
+            f"walls[{short[0]}]"
+            if short[0] < len(world.walls)
+            else f"obstacle edge {short[0] - len(world.walls)}"
+        )
         raise WorldError(f"{kind} has no length")
 
 

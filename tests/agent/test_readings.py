@@ -24,10 +24,20 @@ LEAST = {"carmen": 0.02, "table": 0.02, "bag": 0.05, "npz": 0.05}
 NAN = math.nan
 # What a sensor reports, and what becomes of it: 0 stands for the beam's minimum.
 MEANINGS = [
-    (math.inf, MOST), (8.19, MOST), (3e38, MOST), (MOST, MOST), (2.5, 2.5), (0.01, 0.0), (-0.0, 0.0), (NAN, NAN),
-    (-0.5, NAN), (-math.inf, NAN),
-]  # fmt: skip
-BEAMS = tuple(SensorSpec(0.0, 0.0, math.radians(degrees), 0.05, MOST) for degrees in (-90.0, 0.0, 90.0))
+    (math.inf, MOST),
+    (8.19, MOST),
+    (3e38, MOST),
+    (MOST, MOST),
+    (2.5, 2.5),
+    (0.01, 0.0),
+    (-0.0, 0.0),
+    (NAN, NAN),
+    (-0.5, NAN),
+    (-math.inf, NAN),
+]
+BEAMS = tuple(
+    SensorSpec(0.0, 0.0, math.radians(degrees), 0.05, MOST) for degrees in (-90.0, 0.0, 90.0)
+)
 ROBOT = RobotSpec(beams=BEAMS)
 CONFIG = preset("consistent")
 
@@ -35,7 +45,10 @@ CONFIG = preset("consistent")
 def carmen(folder: Path, reading: float) -> Path:
     values = [2.0] * 181
     values[90] = reading
-    lines = [f"FLASER 181 {' '.join(map(str, values))} 0 0 0 0 0 0 {time} host {time}\n" for time in (1.0, 2.0)]
+    lines = [
+        f"FLASER 181 {' '.join(map(str, values))} 0 0 0 0 0 0 {time} host {time}\n"
+        for time in (1.0, 2.0)
+    ]
     path = folder / "some.clf"
     path.write_text("".join(lines))
     return path
@@ -56,9 +69,16 @@ def bag(folder: Path, reading: float) -> Path:
 def npz(folder: Path, reading: float) -> Path:
     path = folder / "log.npz"
     np.savez(
-        path, time=[0.0, 0.1], ranges=[[2.0, reading, 2.0]] * 2, wheels=np.zeros((2, 2)), action=np.zeros((2, 2)),
-        true_pose=np.zeros((2, 3)), wall_seen=np.zeros((2, 3)), robot=ROBOT.to_json(), start_pose=np.zeros(3),
-    )  # fmt: skip
+        path,
+        time=[0.0, 0.1],
+        ranges=[[2.0, reading, 2.0]] * 2,
+        wheels=np.zeros((2, 2)),
+        action=np.zeros((2, 2)),
+        true_pose=np.zeros((2, 3)),
+        wall_seen=np.zeros((2, 3)),
+        robot=ROBOT.to_json(),
+        start_pose=np.zeros(3),
+    )
     return path
 
 
@@ -92,7 +112,9 @@ def test_a_batch_takes_readings_as_one_mapper_does():
     readings = np.array([[2.0, reading, 2.0] for reading, _ in MEANINGS])
     batch = BatchSlam(ROBOT, CONFIG, len(readings))
     believed = batch.step(readings, np.zeros((len(readings), 2)))
-    np.testing.assert_array_equal(batch.refused_readings, [math.isnan(meaning) for _, meaning in MEANINGS])
+    np.testing.assert_array_equal(
+        batch.refused_readings, [math.isnan(meaning) for _, meaning in MEANINGS]
+    )
     as_meant = batch_of_meanings(readings)
     np.testing.assert_array_equal(believed.grid, as_meant)
 
@@ -126,7 +148,9 @@ SIX = RobotSpec()
 @pytest.mark.parametrize("seed", range(5))
 def test_readings(seed: int) -> None:
     generator, count = np.random.default_rng(seed), len(SIX.beams)
-    special = np.array([np.nan, np.inf, -np.inf, -0.3, 0.0, SIX.max_ranges[0], SIX.min_ranges[0], 0.01, 9.0])
+    special = np.array(
+        [np.nan, np.inf, -np.inf, -0.3, 0.0, SIX.max_ranges[0], SIX.min_ranges[0], 0.01, 9.0]
+    )
     values = generator.uniform(0.0, 2.0, count)
     values = np.where(generator.random(count) < 0.5, generator.choice(special, count), values)
     is_new = generator.random(count) < 0.7
@@ -137,14 +161,18 @@ def test_readings(seed: int) -> None:
     np.testing.assert_array_equal(readings, expected)
     assert refused == np.count_nonzero(np.isnan(expected))
     np.testing.assert_array_equal(measured, is_new & ~np.isnan(expected))
-    np.testing.assert_array_equal(hits, measured & (expected > SIX.too_near) & (expected < SIX.too_far))
+    np.testing.assert_array_equal(
+        hits, measured & (expected > SIX.too_near) & (expected < SIX.too_far)
+    )
 
 
 def density(off: FloatArray, std: FloatArray) -> FloatArray:
     return np.asarray(np.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi)))
 
 
-def plain_evidence(ranges: FloatArray, usable: BoolArray, motions: FloatArray, std: float, growth: float) -> FloatArray:
+def plain_evidence(
+    ranges: FloatArray, usable: BoolArray, motions: FloatArray, std: float, growth: float
+) -> FloatArray:
     limits, shares, slopes = SIX.max_ranges, (0.75, 0.25), ((1.0, 0.7), (2.0, 2.0))
     seen, nothing = np.minimum(ranges, limits), ranges >= SIX.too_far
     now, before, earlier = seen[2:], seen[1:-1], seen[:-2]
@@ -152,17 +180,30 @@ def plain_evidence(ranges: FloatArray, usable: BoolArray, motions: FloatArray, s
     shorter = np.minimum(now, before)
     variances = std**2 + (growth * shorter**2) ** 2
     base = 2.0 * variances + 0.01**2
-    stds = [np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2) for drive, spin in slopes]
+    stds = [
+        np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2)
+        for drive, spin in slopes
+    ]
     edges = 0.01 + 0.4 * np.minimum(turn, 0.2)
-    goes_on = sum(share * density(now - before, each) for share, each in zip(shares, stds, strict=True))
+    goes_on = sum(
+        share * density(now - before, each) for share, each in zip(shares, stds, strict=True)
+    )
     bend = np.sqrt(6.0 * variances + 0.03**2 + (0.2 * turn * shorter) ** 2)
-    is_line = (np.minimum(turn, motions[1:-1, 1:]) > 0.05) & ~(nothing[2:] | nothing[1:-1] | nothing[:-2])
+    is_line = (np.minimum(turn, motions[1:-1, 1:]) > 0.05) & ~(
+        nothing[2:] | nothing[1:-1] | nothing[:-2]
+    )
     is_line &= ~np.isnan(earlier)
-    goes_on = np.where(is_line, np.maximum(goes_on, 0.6 * density(now - 2.0 * before + earlier, bend)), goes_on)
+    goes_on = np.where(
+        is_line, np.maximum(goes_on, 0.6 * density(now - 2.0 * before + earlier, bend)), goes_on
+    )
     changes = (1.0 - edges) * goes_on + edges / limits
-    vanishes = sum(share * ndtr((before - limits) / each) for share, each in zip(shares, stds, strict=True))
+    vanishes = sum(
+        share * ndtr((before - limits) / each) for share, each in zip(shares, stds, strict=True)
+    )
     vanishes = (1.0 - edges) * vanishes + 0.45 * edges
-    comes = sum(share * density(limits - now, each) for share, each in zip(shares, stds, strict=True))
+    comes = sum(
+        share * density(limits - now, each) for share, each in zip(shares, stds, strict=True)
+    )
     comes = 0.08 * (1.0 + 3.0 * (turn > 0.1)) * comes + edges / limits
     here = np.where(nothing[2:], vanishes, np.where(nothing[1:-1], comes, changes))
     evidence = np.log(np.where(nothing[2:], 0.45, 0.55 / limits) / here)
@@ -173,14 +214,20 @@ def plain_evidence(ranges: FloatArray, usable: BoolArray, motions: FloatArray, s
 @pytest.mark.parametrize("seed", range(3))
 def test_evidence_of_changes(seed: int) -> None:
     generator, shape = np.random.default_rng(seed), (12, len(SIX.beams))
-    ranges = np.cumsum(generator.normal(0.0, 0.03, shape), axis=0) + generator.uniform(0.3, 1.5, shape[1])
-    ranges = np.where(generator.random(shape) < 0.15, SIX.max_ranges, np.clip(ranges, 0.1, SIX.max_ranges))
+    ranges = np.cumsum(generator.normal(0.0, 0.03, shape), axis=0) + generator.uniform(
+        0.3, 1.5, shape[1]
+    )
+    ranges = np.where(
+        generator.random(shape) < 0.15, SIX.max_ranges, np.clip(ranges, 0.1, SIX.max_ranges)
+    )
     ranges[generator.random(shape) < 0.05] = np.nan
     usable = ~np.isnan(ranges) & (generator.random(shape) < 0.95)
     motions = np.abs(generator.normal(0.0, (0.02, 0.1), (12, 2)))
     evidence = np.empty((10, shape[1]))
     weigh_changes(ranges, usable, motions, SIX.beam_table, 0.02, 0.05, evidence)
-    np.testing.assert_allclose(evidence, plain_evidence(ranges, usable, motions, 0.02, 0.05), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        evidence, plain_evidence(ranges, usable, motions, 0.02, 0.05), rtol=1e-9, atol=1e-9
+    )
     assert np.std(evidence) > 0.1
 
 
@@ -243,15 +290,19 @@ def reach_of(view: GridView) -> float:
 
 
 def test_readings_that_saw_nothing_are_drawn_when_enough_of_them_follow_each_other() -> None:
-    # The first drop-outs make some free ground behind the wall, before it is known that there are drop-outs.
+    # The first drop-outs make some free ground behind the wall, before it is known that there are
+    # drop-outs.
     before = readings_of_a_wall(1000, 0.1, at=0.5)
     known = drawn_with(before).view.values
     nothing = np.tile(SIX.max_ranges, (6, 1))
     seen = np.full((1, COUNT), 0.5)
     short = drawn_with(np.vstack((before, seen, nothing[:2], seen))).view
     assert np.count_nonzero(short.free) == np.count_nonzero(known > 0)
-    # A chance of 0.1 makes a series of four with a probability of 1e-4. The estimated chance is not exactly 0.1.
-    assert np.count_nonzero(drawn_with(np.vstack((before, nothing))).view.free) > 1.2 * np.count_nonzero(known > 0)
+    # A chance of 0.1 makes a series of four with a probability of 1e-4. The estimated chance is not
+    # exactly 0.1.
+    assert np.count_nonzero(
+        drawn_with(np.vstack((before, nothing))).view.free
+    ) > 1.2 * np.count_nonzero(known > 0)
 
 
 def test_a_beam_that_takes_turns_with_others_is_compared_with_its_own_readings() -> None:

@@ -30,7 +30,11 @@ def test_candidates_take_turns_and_ratios_are_of_one_round():
     machine = Machine()
     candidates = {"fast": machine.loop("fast", 0.01), "last": machine.loop("last", 0.04)}
     rates = speed.rates_in_turn(candidates, 5, machine.clock)
-    order = [name for number, name in enumerate(machine.calls) if number == 0 or machine.calls[number - 1] != name]
+    order = [
+        name
+        for number, name in enumerate(machine.calls)
+        if number == 0 or machine.calls[number - 1] != name
+    ]
     assert order == ["fast", "last"] * 6
     assert rates["fast"].shape == rates["last"].shape == (5,)
     assert rates["fast"][0] > 10.0 * rates["fast"][-1], "the machine became slower"
@@ -39,4 +43,6 @@ def test_candidates_take_turns_and_ratios_are_of_one_round():
 
 def test_a_run_is_timed_by_its_simulated_time():
     ticks = iter(np.arange(0.0, 100.0, 0.5))
-    assert speed.times_faster("square", 1, lambda: float(next(ticks)), max_time=2.0) == pytest.approx(4.0)
+    assert speed.times_faster(
+        "square", 1, lambda: float(next(ticks)), max_time=2.0
+    ) == pytest.approx(4.0)

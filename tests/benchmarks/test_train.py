@@ -61,18 +61,38 @@ def test_a_training_leaves_its_weights(tmp_path):
     from limslam_agent.policies.learned.network import load_network
 
     shipped = TrainConfig()
-    apart = [set(shipped.plans), set(shipped.held_out), {int(job.world[7:]) for job in load_suite("explore").jobs}]
+    apart = [
+        set(shipped.plans),
+        set(shipped.held_out),
+        {int(job.world[7:]) for job in load_suite("explore").jobs},
+    ]
     assert sum(map(len, apart)) == len(set.union(*apart)), "what is learned on is not tried"
     config = TrainConfig(
-        96, range(10, 12), range(20, 21), robots=4, rollout=8, batch=16, epochs=1, try_every=64, learning_rate=1e-2
+        96,
+        range(10, 12),
+        range(20, 21),
+        robots=4,
+        rollout=8,
+        batch=16,
+        epochs=1,
+        try_every=64,
+        learning_rate=1e-2,
     )
     weights = train(config, tmp_path / "run")
     scores = load_network(weights).scores(np.linspace(0, 1, 800, dtype=np.float32))
     assert np.isfinite(scores).all()
     assert np.ptp(scores) > 1e-3, "learning makes a difference"
-    rows = [json.loads(line) for line in (tmp_path / "run" / "trials.jsonl").read_text(encoding="utf-8").splitlines()]
+    rows = [
+        json.loads(line)
+        for line in (tmp_path / "run" / "trials.jsonl").read_text(encoding="utf-8").splitlines()
+    ]
     assert [row["decisions"] for row in rows] == [64, 96]
     assert list((tmp_path / "run" / "tensorboard").rglob("events*"))
-    assert json.loads((tmp_path / "run" / "train.json").read_text(encoding="utf-8"))["config"]["robots"] == 4
+    assert (
+        json.loads((tmp_path / "run" / "train.json").read_text(encoding="utf-8"))["config"][
+            "robots"
+        ]
+        == 4
+    )
     with pytest.raises(ValueError, match="choose another folder"):
         train(config, tmp_path / "run")

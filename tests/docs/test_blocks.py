@@ -1,4 +1,6 @@
-"""Every fenced block of the documentation works: Python runs, commands run or parse, data is read by its reader."""
+"""Every fenced block of the documentation works: Python runs, commands run or parse, data is read
+by its reader.
+"""
 
 import math
 import re
@@ -28,7 +30,7 @@ from limslam_env.interface import beams_on_rim
 DIAGRAMS = {
     "action -> physics": "the stages of one step of the loop",
     "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
-    "simulator    geometry <-": "which package may import which; test_architecture has the rules themselves",
+    "simulator    geometry <-": "which package may import which; test_architecture has the rules",
     "# t1   t2": "relations of a tape; a test below reads them",
     "H,1,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
     "turned   ": "a line of the summary; a test below prints it",
@@ -36,9 +38,10 @@ DIAGRAMS = {
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
     "import torch\nimport gymnasium": "needs a GPU",
-    "from rl_sb3 import wrapped": "needs a model that was saved; test_rl_examples runs the same comparison",
+    "from rl_sb3 import wrapped": "needs a model that was saved; test_rl_examples compares so",
     "import minari\n": "needs what Minari needs to write datasets, and records for some minutes",
-    "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
+    "from pathlib import Path\nfrom "
+    "benchmarks.suite.store": "needs the results of a suite, which takes minutes",
 }
 # Commands that are not the project's own, by their first words.
 OTHERS = {
@@ -53,7 +56,8 @@ OTHERS = {
     "export": "sets a variable of the environment",
     "ros2": "ROS 2's own command line, which its wheels do not have",
 }
-# How the project's quick commands are cut short. All others are parsed, not run: they take minutes or recorded data.
+# How the project's quick commands are cut short. All others are parsed, not run: they take minutes
+# or recorded data.
 SHORT = {
     ("limslam", "run"): ["--max-time", "1"],
     ("limslam", "worlds"): [],
@@ -76,13 +80,20 @@ APPS = apps()
 
 
 def reason_for(block: Block, reasons: dict[str, str]) -> str | None:
-    return next((reason for start, reason in reasons.items() if block.text.lstrip().startswith(start)), None)
+    return next(
+        (reason for start, reason in reasons.items() if block.text.lstrip().startswith(start)), None
+    )
 
 
 def own(words: list[str]) -> tuple[str, list[str]] | None:
     """The project's command line that a command calls, and its arguments."""
     line = " ".join(words)
-    for name in ("limslam", ".venv/bin/limslam", "python -m limslam_agent.live.emulator", "python -m benchmarks"):
+    for name in (
+        "limslam",
+        ".venv/bin/limslam",
+        "python -m limslam_agent.live.emulator",
+        "python -m benchmarks",
+    ):
         if line.startswith(f"{name} "):
             return name.removeprefix(".venv/bin/"), words[len(name.split()) :]
     return None
@@ -118,7 +129,13 @@ def test_every_block_of_plain_text_is_a_known_diagram():
 
 @pytest.mark.parametrize("block", all_blocks("math"), ids=lambda block: block.name)
 def test_an_equation_is_closed(block):
-    for opening, closing in (("{", "}"), ("(", ")"), ("[", "]"), (r"\begin", r"\end"), (r"\left", r"\right")):
+    for opening, closing in (
+        ("{", "}"),
+        ("(", ")"),
+        ("[", "]"),
+        (r"\begin", r"\end"),
+        (r"\left", r"\right"),
+    ):
         text = block.text.replace(r"\leftarrow", "")
         assert text.count(opening) == text.count(closing), opening
 
@@ -139,14 +156,23 @@ def example(name: str) -> Path:
 def live_robot() -> dict:
     """What the loop for a live robot is written for: a robot that answers, and an agent."""
     parts = runpy.run_path(str(example("live_robot.py")), run_name="live_robot")
-    agent = parts["LimSlamAgent"](parts["SPEC"], parts["preset"]("consistent", parts["NominalNoise"](0.01)))
-    return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
+    agent = parts["LimSlamAgent"](
+        parts["SPEC"], parts["preset"]("consistent", parts["NominalNoise"](0.01))
+    )
+    return {
+        "robot": parts["FakeRobot"](in_real_time=False),
+        "agent": agent,
+        "spec": parts["SPEC"],
+        "np": parts["np"],
+    }
 
 
 NEEDS = {"docs/live.md": live_robot}
 # test_readme runs the README and looks at what it prints.
 PYTHON_PAGES = [
-    page for page in pages() if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
+    page
+    for page in pages()
+    if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
 ]
 
 
@@ -193,7 +219,9 @@ def test_a_command_runs_or_has_options_that_exist(words):
     parsed(APPS[name], arguments)
     short = SHORT.get((name, arguments[0]))
     files = [word.rpartition(":")[0] if ".py:" in word else word for word in arguments]
-    is_there = all(Path(word).exists() for word in files if word.endswith((".yaml", ".json", ".py")))
+    is_there = all(
+        Path(word).exists() for word in files if word.endswith((".yaml", ".json", ".py"))
+    )
     if short is not None and is_there and not NOT_SHORT.keys() & set(arguments):
         APPS[name]([*arguments, *short], standalone_mode=False)
 
@@ -202,17 +230,24 @@ def check_extras(words: list[str]) -> None:
     """The extras that a command installs are declared."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     asked = {
-        extra for word in words for found in re.findall(r"^(?:limslam|\.)\[(.+)\]$", word) for extra in found.split(",")
+        extra
+        for word in words
+        for found in re.findall(r"^(?:limslam|\.)\[(.+)\]$", word)
+        for extra in found.split(",")
     }
     assert asked <= set(project["optional-dependencies"])
 
 
 def options_of(command) -> set[str]:
     names = (
-        name for part in command.params for name in (*getattr(part, "opts", []), *getattr(part, "secondary_opts", []))
+        name
+        for part in command.params
+        for name in (*getattr(part, "opts", []), *getattr(part, "secondary_opts", []))
     )
     own_options = {name for name in names if name.startswith("--")}
-    return own_options.union(*(options_of(part) for part in getattr(command, "commands", {}).values()))
+    return own_options.union(
+        *(options_of(part) for part in getattr(command, "commands", {}).values())
+    )
 
 
 @pytest.mark.parametrize("page", pages(), ids=name_of)
@@ -252,7 +287,9 @@ def test_a_toml_block_is_read_by_its_reader(block):
         Path("robot.toml").write_text(block.text, encoding="utf-8")
         assert robot_named("robot.toml").radius == 0.06
     elif "uses" in keys:
-        made_entry(Path("mine"), block.text, my_policy=example("my_policy.py").read_text(encoding="utf-8"))
+        made_entry(
+            Path("mine"), block.text, my_policy=example("my_policy.py").read_text(encoding="utf-8")
+        )
     else:
         pytest.fail(f"{block.name}: no reader is known for a table with {sorted(keys)}")
 
@@ -262,13 +299,20 @@ def test_a_table_is_read_as_a_log(block, tmp_path):
     (tmp_path / "log.csv").write_text(block.text, encoding="utf-8")
     rim = beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.06)
     options = TableOptions(RobotSpec(beams=rim)) if "left" in block.text else None
-    assert len(read_log(tmp_path / "log.csv", table=options)) == len(block.text.strip().splitlines()) - 1
+    assert (
+        len(read_log(tmp_path / "log.csv", table=options))
+        == len(block.text.strip().splitlines()) - 1
+    )
 
 
 def test_a_turned_beam_is_printed_as_the_page_shows():
-    (block,) = (block for block in blocks(ROOT / "docs" / "logs.md") if block.text.startswith("turned   "))
+    (block,) = (
+        block for block in blocks(ROOT / "docs" / "logs.md") if block.text.startswith("turned   ")
+    )
     beams, turns = [{"angle": math.radians(58.0)}], [{"deg": -4.2, "std_deg": 0.1}]
-    summary = record_summary({"record": {"beam_turns": turns}, "config": {"robot": {"beams": beams}}})
+    summary = record_summary(
+        {"record": {"beam_turns": turns}, "config": {"robot": {"beams": beams}}}
+    )
     assert summary[-1] == block.text.strip()
 
 
@@ -280,9 +324,14 @@ def test_the_tape_of_the_page_gives_the_numbers_of_the_page(tmp_path):
     times = np.arange(0.0, 55.0, 0.1)
     driven = np.interp(times, [2.0, 24.0, 31.0, 53.5], [0.0, 5.0, 5.0, 10.0])
     rows = [f"{time:.1f},{x:.5f},0,0,1,1" for time, x in zip(times, driven, strict=True)]
-    (log := tmp_path / "straight.csv").write_text("\n".join(["t,x,y,theta,r_90,r_-90", *rows]), encoding="utf-8")
+    (log := tmp_path / "straight.csv").write_text(
+        "\n".join(["t,x,y,theta,r_90,r_-90", *rows]), encoding="utf-8"
+    )
     calibration = calibrated(tape, read_log(log), OdometryConfig())
     assert f"calibrated  {calibration.words}" in page.read_text(encoding="utf-8")
     turn, scale = calibration.turn_per_metre, calibration.distance_scale
     for sign, size in ((-1.0, 0.9895), (1.0, 0.9859)):
-        assert scale + sign * 0.5 * 0.115 * turn == pytest.approx(size, abs=5e-4), (calibration.words, sign)
+        assert scale + sign * 0.5 * 0.115 * turn == pytest.approx(size, abs=5e-4), (
+            calibration.words,
+            sign,
+        )

@@ -1,4 +1,6 @@
-"""Pages name what is there, and all of it: tables, lists, public names, commands, and links that lead somewhere."""
+"""Pages name what is there, and all of it: tables, lists, public names, commands, and links that
+lead somewhere.
+"""
 
 import re
 import runpy
@@ -18,7 +20,9 @@ import limslam_agent
 import limslam_env
 
 DOCS = ROOT / "docs"
-in_a_checkout = pytest.mark.skipif(not find_spec("benchmarks"), reason="the benchmarks do not travel with the tests")
+in_a_checkout = pytest.mark.skipif(
+    not find_spec("benchmarks"), reason="the benchmarks do not travel with the tests"
+)
 ENVIRONMENTS = (DOCS / "environments.md").read_text(encoding="utf-8")
 
 
@@ -61,7 +65,11 @@ def test_the_tree_of_packages_is_the_one_that_is_there(top):
 @pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
 def test_the_tree_names_the_modules_beside_the_packages(top):
     (tree,) = [block.text for block in all_blocks("text") if block.text.startswith("limslam_env/")]
-    modules = {path.name for path in Path(find_spec(top).origin).parent.glob("*.py") if not path.name.startswith("__")}
+    modules = {
+        path.name
+        for path in Path(find_spec(top).origin).parent.glob("*.py")
+        if not path.name.startswith("__")
+    }
     assert modules <= set(re.findall(r"\w+\.py", tree))
 
 
@@ -69,7 +77,12 @@ def test_the_tree_names_the_modules_beside_the_packages(top):
 def test_every_suite_is_named():
     from benchmarks.suite.suite import shipped_suites
 
-    text = (DOCS / "benchmark.md").read_text(encoding="utf-8").split("\n## Suites\n", 1)[1].split("\n### ", 1)[0]
+    text = (
+        (DOCS / "benchmark.md")
+        .read_text(encoding="utf-8")
+        .split("\n## Suites\n", 1)[1]
+        .split("\n### ", 1)[0]
+    )
     assert first_column(text) == set(shipped_suites())
 
 
@@ -87,8 +100,12 @@ def test_the_results_have_the_table_of_the_scoreboard_and_the_columns_that_are_d
     drawn = runpy.run_path(str(DOCS / "images" / "results.py"))
     text = drawn["RESULTS"].read_text(encoding="utf-8")
     table = drawn["scoreboard_lines"](drawn["table"](drawn["read_board"](drawn["BOARD"])))
-    assert drawn["lines_of_table"](text, drawn["DRIVES"])[0] == table, "python docs/images/results.py writes it"
-    runs, logs, speed = (drawn["rows_of"](text, drawn[heading])[0] for heading in ("RUNS", "LOGS", "SPEED"))
+    assert drawn["lines_of_table"](text, drawn["DRIVES"])[0] == table, (
+        "python docs/images/results.py writes it"
+    )
+    runs, logs, speed = (
+        drawn["rows_of"](text, drawn[heading])[0] for heading in ("RUNS", "LOGS", "SPEED")
+    )
     assert {f"ATE {name}, m" for name in drawn["ESTIMATES"]} <= set(runs)
     assert {"odometry, m", "LimSLAM, m"} <= set(logs)
     assert {f"{name}, million steps/s" for name in drawn["SPEEDS"]} <= set(speed)
@@ -103,7 +120,9 @@ def documented(package: str) -> set[str]:
     return {name for cell in cells for name in re.findall(r"`(\w+)`", cell)}
 
 
-@pytest.mark.parametrize("package", [limslam_env, limslam_agent], ids=lambda package: package.__name__)
+@pytest.mark.parametrize(
+    "package", [limslam_env, limslam_agent], ids=lambda package: package.__name__
+)
 def test_the_page_lists_the_public_names(package):
     assert documented(package.__name__) == set(package.__all__)
 
@@ -114,7 +133,11 @@ def commands(group: Any, path: str) -> Iterator[tuple[str, set[str]]]:
         if getattr(command, "commands", None):
             yield from commands(command, f"{path} {name}")
         if not getattr(command, "no_args_is_help", False):
-            found = {max(part.opts, key=len) for part in command.params if part.param_type_name == "option"}
+            found = {
+                max(part.opts, key=len)
+                for part in command.params
+                if part.param_type_name == "option"
+            }
             yield f"{path} {name}", found - {"--help"}
 
 
@@ -158,7 +181,9 @@ def test_a_broken_link_would_be_noticed():
 
 
 def exists(name: str) -> bool:
-    """Whether a path such as ``limslam_env/geometry/`` or ``slam/core/ekf.py`` is one of the project's."""
+    """Whether a path such as ``limslam_env/geometry/`` or ``slam/core/ekf.py`` is one of the
+    project's.
+    """
     tops = ("", "limslam_agent", "limslam_env", "limslam_agent/slam", "benchmarks")
     return any((ROOT / top / name).exists() for top in tops)
 
@@ -172,7 +197,9 @@ def importable(name: str) -> bool:
         except ModuleNotFoundError:
             continue
         if found is not None:
-            return length >= len(parts) - 2 and (length == len(parts) or has_name(found.name, parts[length]))
+            return length >= len(parts) - 2 and (
+                length == len(parts) or has_name(found.name, parts[length])
+            )
     return False
 
 
@@ -187,10 +214,20 @@ def has_name(module: str, name: str) -> bool:
 def test_modules_that_a_page_names_exist(page):
     if not IS_CHECKOUT:
         pytest.skip("the sources do not travel with the tests: run them in a checkout")
-    paths = {span for span in code_spans(page) if re.fullmatch(r"[a-z_]+/[\w/]*(\.py|/)?", span) and "/" in span}
-    paths = {span for span in paths if span.endswith((".py", "/")) and not span.startswith(("runs/", "lists/"))}
+    paths = {
+        span
+        for span in code_spans(page)
+        if re.fullmatch(r"[a-z_]+/[\w/]*(\.py|/)?", span) and "/" in span
+    }
+    paths = {
+        span
+        for span in paths
+        if span.endswith((".py", "/")) and not span.startswith(("runs/", "lists/"))
+    }
     assert {span for span in paths if not exists(span)} == set()
     dotted = {
-        span for span in code_spans(page) if re.fullmatch(r"(limslam_env|limslam_agent|benchmarks)(\.\w+)+", span)
+        span
+        for span in code_spans(page)
+        if re.fullmatch(r"(limslam_env|limslam_agent|benchmarks)(\.\w+)+", span)
     }
     assert {span for span in dotted if not importable(span)} == set()

@@ -19,7 +19,9 @@ from limslam_env import NominalNoise
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"
-pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="the examples do not travel with the tests")
+pytestmark = pytest.mark.skipif(
+    not EXAMPLES.is_dir(), reason="the examples do not travel with the tests"
+)
 # Modules of the simulator, which a robot does not need.
 SIMULATOR = {
     "pymunk",
@@ -39,7 +41,9 @@ def live_run(tmp_path_factory):
         f"runpy.run_path({str(EXAMPLE)!r}, run_name='__main__')\n"
         f"print(sorted({SIMULATOR!r} & set(sys.modules)))"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     return folder, result.stdout.splitlines()
 
 
@@ -47,7 +51,13 @@ def test_the_live_loop_maps_without_a_simulator(live_run):
     folder, (said, loaded) = live_run
     assert 150 < int(said.partition(" steps: ")[0]) <= 230
     assert loaded == "[]"
-    assert {path.name for path in folder.iterdir()} == {"map.json", "map.pgm", "map.yaml", "map.png", "log.csv"}
+    assert {path.name for path in folder.iterdir()} == {
+        "map.json",
+        "map.pgm",
+        "map.yaml",
+        "map.png",
+        "log.csv",
+    }
     segments = np.array(json.loads((folder / "map.json").read_text())["segments"])
     lengths = np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1])
     # A room of 3 x 2 m.
@@ -58,13 +68,20 @@ def test_the_live_loop_maps_without_a_simulator(live_run):
 def test_its_log_can_be_replayed(live_run):
     log = read_log(live_run[0] / "log.csv", None, 1.58)
     assert len(log) > 150
-    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [90.0, 45.0, 15.0, -15.0, -45.0, -90.0])
+    np.testing.assert_allclose(
+        np.degrees(log.robot.beam_angles), [90.0, 45.0, 15.0, -15.0, -45.0, -90.0]
+    )
     assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
 
 
 def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path):
     page = EXAMPLES.parent / "docs" / "logs.md"
-    command = next(words for block in blocks(page) for words in commands(block.text) if "wheel_log.csv" in str(words))
+    command = next(
+        words
+        for block in blocks(page)
+        for words in commands(block.text)
+        if "wheel_log.csv" in str(words)
+    )
     finished = limslam(*command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
     assert (finished.returncode, finished.stderr) == (0, "")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
@@ -79,14 +96,22 @@ def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path
 
 def test_the_live_loop_imports_only_the_agent_and_the_interface():
     lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
-    ours = {line.split()[1] for line in lines if line.startswith(("import ", "from ")) and "limslam" in line}
-    assert all(name == "limslam_env.interface" or name.split(".")[0] == "limslam_agent" for name in ours)
+    ours = {
+        line.split()[1]
+        for line in lines
+        if line.startswith(("import ", "from ")) and "limslam" in line
+    }
+    assert all(
+        name == "limslam_env.interface" or name.split(".")[0] == "limslam_agent" for name in ours
+    )
 
 
 def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
     example = EXAMPLES / "evaluate_policy.py"
     assert len([line for line in example.read_text(encoding="utf-8").splitlines() if line]) <= 15
-    result = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, str(example)], capture_output=True, text=True, check=True
+    )
     said = {words[0]: float(words[2]) for words in map(str.split, result.stdout.splitlines())}
     assert set(said) == {"bounce", "frontier"}
     assert 0.1 < said["bounce"] < said["frontier"]
@@ -96,9 +121,23 @@ def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
     example = EXAMPLES / "own_estimator.py"
     folder = tmp_path / "run"
     write = "import sys; from limslam_agent.__main__ import main; sys.exit(main())"
-    options = ["run", "--world", "env2", "--preset", "consistent", "--max-time", "20", "--out", str(folder)]
-    subprocess.run([sys.executable, "-c", write, *options], capture_output=True, text=True, check=True)
-    result = subprocess.run([sys.executable, str(example), str(folder)], capture_output=True, text=True, check=True)
+    options = [
+        "run",
+        "--world",
+        "env2",
+        "--preset",
+        "consistent",
+        "--max-time",
+        "20",
+        "--out",
+        str(folder),
+    ]
+    subprocess.run(
+        [sys.executable, "-c", write, *options], capture_output=True, text=True, check=True
+    )
+    result = subprocess.run(
+        [sys.executable, str(example), str(folder)], capture_output=True, text=True, check=True
+    )
     found = {words[0]: float(words[1]) for words in map(str.split, result.stdout.splitlines())}
     known = json.loads((folder / "result.json").read_text())["metrics"]
     # The example is dead reckoning, and so its errors are those of odometry alone.

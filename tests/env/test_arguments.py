@@ -1,4 +1,6 @@
-"""Settings, robots and arguments: what is refused in one short line, and how ranges are drawn from."""
+"""Settings, robots and arguments: what is refused in one short line, and how ranges are drawn
+from.
+"""
 
 import dataclasses
 import math
@@ -9,7 +11,16 @@ import numpy as np
 import pytest
 
 import limslam_env
-from limslam_env import LimSlamEnv, LimSlamParallelEnv, NoiseConfig, RobotSpec, SensorSpec, World, load_world, robots
+from limslam_env import (
+    LimSlamEnv,
+    LimSlamParallelEnv,
+    NoiseConfig,
+    RobotSpec,
+    SensorSpec,
+    World,
+    load_world,
+    robots,
+)
 from limslam_env.interface import beams_on_rim, side_of
 from limslam_env.robots import ROBOTS
 
@@ -45,9 +56,19 @@ def test_a_setting_out_of_bounds_is_refused_in_one_clear_line(name):
     nan, inf = math.nan, math.inf
     for value in (
         *(above, below, nan, inf, -inf),
-        *((low, above), (below, high), (high, low), (nan, high), (low, nan), (low, inf), [below, high]),
+        *(
+            (low, above),
+            (below, high),
+            (high, low),
+            (nan, high),
+            (low, nan),
+            (low, inf),
+            [below, high],
+        ),
     ):
-        with pytest.raises(ValueError, match=rf"^{name} must be a number from \S+ to \S+, or a range") as refusal:
+        with pytest.raises(
+            ValueError, match=rf"^{name} must be a number from \S+ to \S+, or a range"
+        ) as refusal:
             NoiseConfig(**{name: value})
         assert "\n" not in str(refusal.value)
 
@@ -68,14 +89,18 @@ def test_what_is_drawn_lies_in_its_range_and_fills_it():
         assert all(type(getattr(drawn, name)) is float for drawn in draws)
         assert low <= values.min() < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < values.max() <= high
-        assert values.mean() == pytest.approx(0.5 * (low + high), abs=5.0 * (high - low) / math.sqrt(12.0 * 400))
+        assert values.mean() == pytest.approx(
+            0.5 * (low + high), abs=5.0 * (high - low) / math.sqrt(12.0 * 400)
+        )
 
 
 @pytest.mark.parametrize("name", HIGHEST)
 def test_one_range_more_shifts_no_other_draw(name):
     some = {"sensor_noise": (0.01, 0.04), "axle_mismatch": (-0.1, 0.1), "slip_share": (0.2, 0.9)}
     with_it = {**some, name: (lowest(name), HIGHEST[name])}
-    one, other = (NoiseConfig(**settings).drawn(np.random.default_rng(5)) for settings in (some, with_it))
+    one, other = (
+        NoiseConfig(**settings).drawn(np.random.default_rng(5)) for settings in (some, with_it)
+    )
     for part in dataclasses.fields(NoiseConfig):
         if part.name != name:
             assert getattr(one, part.name) == getattr(other, part.name)
@@ -83,7 +108,9 @@ def test_one_range_more_shifts_no_other_draw(name):
 
 def test_sharp_sensors_can_be_changed():
     sharp = NoiseConfig.sharp(dropout=(0.0, 0.1), wheel_variance=1e-4)
-    assert sharp == dataclasses.replace(NoiseConfig.sharp(), dropout=(0.0, 0.1), wheel_variance=1e-4)
+    assert sharp == dataclasses.replace(
+        NoiseConfig.sharp(), dropout=(0.0, 0.1), wheel_variance=1e-4
+    )
     with pytest.raises(ValueError, match=r"^cone must be"):
         NoiseConfig.sharp(cone=-0.1)
     with pytest.raises(TypeError, match="colour"):
@@ -143,7 +170,10 @@ def test_beams_given_as_a_list_are_as_good_as_a_tuple():
     [
         ({"radius": 60.0}, "a robot's radius is at most 5 m, not 60: is it in m?"),
         ({"axle": 115.0}, "a robot's axle is at most 10 m, not 115: is it in m?"),
-        ({"max_wheel_speed": 300.0}, "a robot's max_wheel_speed is at most 100 m/s, not 300: is it in m/s?"),
+        (
+            {"max_wheel_speed": 300.0},
+            "a robot's max_wheel_speed is at most 100 m/s, not 300: is it in m/s?",
+        ),
     ],
 )
 def test_a_robot_in_millimetres_is_refused(wrong, words):
@@ -164,7 +194,9 @@ def test_the_largest_robots_and_beams_are_accepted():
 
 @pytest.mark.parametrize("wrong", [[90.0, -90.0], ["left"], [{"x": 0.0}], [None]])
 def test_beams_that_are_no_sensors_are_refused(wrong):
-    with pytest.raises(TypeError, match="each beam of a robot must be a SensorSpec, as beams_on_rim makes them"):
+    with pytest.raises(
+        TypeError, match="each beam of a robot must be a SensorSpec, as beams_on_rim makes them"
+    ):
         RobotSpec(beams=wrong)
 
 
@@ -173,12 +205,16 @@ def test_beams_that_are_no_sensors_are_refused(wrong):
     [(math.pi / 2, 0.0, -math.pi / 2), (math.radians(54.0),)],
 )
 def test_radians_where_degrees_are_expected_are_refused(degrees):
-    with pytest.raises(ValueError, match=r"the angles of beams_on_rim are degrees, but .* look like radians"):
+    with pytest.raises(
+        ValueError, match=r"the angles of beams_on_rim are degrees, but .* look like radians"
+    ):
         beams_on_rim(degrees, 0.1)
 
 
 def test_degrees_where_radians_are_expected_are_refused():
-    with pytest.raises(ValueError, match=r"a beam's angle is within 4 pi rad, not 90: is it in rad\?"):
+    with pytest.raises(
+        ValueError, match=r"a beam's angle is within 4 pi rad, not 90: is it in rad\?"
+    ):
         SensorSpec(0.05, 0.0, 90.0)
 
 
@@ -219,7 +255,9 @@ def test_a_shipped_robot_sees_a_wall_at_the_right_distance(name):
     # The wall at x = 7 lies ahead, nearer than the shortest of the beams can see.
     gap = 0.5 * reach
     observation, info = env.reset(seed=0, options={"start": (7.0 - robot.radius - gap, 1.0, 0.0)})
-    for number, (angle, origin) in enumerate(zip(robot.beam_angles, robot.beam_origins, strict=True)):
+    for number, (angle, origin) in enumerate(
+        zip(robot.beam_angles, robot.beam_origins, strict=True)
+    ):
         distance = (robot.radius + gap - origin[0]) / max(math.cos(angle), 1e-9)
         if distance < reach and abs(angle) < 0.5:
             assert info["wall_seen"][number] == 1
@@ -243,7 +281,9 @@ def test_a_ring_without_beams_is_refused(count):
         robots.ring(count)
 
 
-@pytest.mark.parametrize("make", [robots.e_puck, robots.four_beam_drone, lambda reach: robots.ring(8, reach)])
+@pytest.mark.parametrize(
+    "make", [robots.e_puck, robots.four_beam_drone, lambda reach: robots.ring(8, reach)]
+)
 @pytest.mark.parametrize("reach", [0.0, math.inf])
 def test_a_reach_that_cannot_be_is_refused(make, reach):
     with pytest.raises(ValueError, match=r"max_range|finite"):
@@ -263,10 +303,20 @@ def env():
 
 @pytest.mark.parametrize(
     "options",
-    [{"world": 3}, {"world": None}, {"world": ["env1"]}, {"start": [10**400, 0, 0]}, {"start": 10**6000}, {3: 1}, 3],
+    [
+        {"world": 3},
+        {"world": None},
+        {"world": ["env1"]},
+        {"start": [10**400, 0, 0]},
+        {"start": 10**6000},
+        {3: 1},
+        3,
+    ],
 )
 def test_impossible_options_of_a_reset(env, options):
-    with pytest.raises(ValueError, match=r"a world is|the start is|unknown reset option|a dictionary"):
+    with pytest.raises(
+        ValueError, match=r"a world is|the start is|unknown reset option|a dictionary"
+    ):
         env.reset(options=options)
 
 
@@ -300,7 +350,9 @@ MAKERS = {
     "single": lambda **arguments: gym.make("LimSlam-Env1-v0", **arguments),
     "batch": lambda **arguments: gym.make_vec("LimSlam-Env1-v0", num_envs=2, **arguments),
     "parallel": lambda **arguments: limslam_env.parallel_env(world="env1", **arguments),
-    "parallel batch": lambda **arguments: limslam_env.parallel_vector_env(world="env1", num_envs=2, **arguments),
+    "parallel batch": lambda **arguments: limslam_env.parallel_vector_env(
+        world="env1", num_envs=2, **arguments
+    ),
 }
 
 
@@ -308,9 +360,15 @@ MAKERS = {
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"noise": 0.02}, r"noise must be a NoiseConfig, such as NoiseConfig\(sensor_noise=\.\.\.\), not 0\.02"),
+        (
+            {"noise": 0.02},
+            r"noise must be a NoiseConfig, such as NoiseConfig\(sensor_noise=\.\.\.\), not 0\.02",
+        ),
         ({"rewards": {"step": -0.1}}, r"rewards must be a RewardConfig, such as RewardConfig\("),
-        ({"robot": "e_puck"}, r"robot must be a RobotSpec, such as RobotSpec\(radius=\.\.\.\), not 'e_puck'"),
+        (
+            {"robot": "e_puck"},
+            r"robot must be a RobotSpec, such as RobotSpec\(radius=\.\.\.\), not 'e_puck'",
+        ),
         ({"sensor_noise": "0.02"}, r"sensor_noise must be a number"),
         ({"coverage_goal": "0.9"}, r"coverage_goal must lie in"),
     ],
@@ -330,8 +388,12 @@ def test_a_window_without_pygame_names_the_extra(monkeypatch, make):
 
 
 def test_the_nominal_noise_is_the_upper_end_of_what_a_reset_may_draw():
-    noise = limslam_env.NoiseConfig(sensor_noise=(0.01, 0.03), wheel_variance=(0.0, 1e-4), slip_rate=0.5)
-    assert MAKERS["single"](noise=noise).unwrapped.nominal_noise == limslam_env.NominalNoise(0.03, 1e-4)
+    noise = limslam_env.NoiseConfig(
+        sensor_noise=(0.01, 0.03), wheel_variance=(0.0, 1e-4), slip_rate=0.5
+    )
+    assert MAKERS["single"](noise=noise).unwrapped.nominal_noise == limslam_env.NominalNoise(
+        0.03, 1e-4
+    )
     assert MAKERS["parallel"](sensor_noise=0.02).nominal_noise == limslam_env.NominalNoise(0.02)
     ideal = limslam_env.NoiseConfig(wheel_variance=0.0)
     assert MAKERS["batch"](noise=ideal).nominal_noise == limslam_env.NominalNoise()

@@ -1,4 +1,6 @@
-"""Compiled code that is kept on disk: it is used again, and made anew when anything that it contains has changed."""
+"""Compiled code that is kept on disk: it is used again, and made anew when anything that it
+contains has changed.
+"""
 
 import ast
 import subprocess
@@ -42,10 +44,14 @@ def package(tmp_path):
 
 
 def called_anew(package) -> list[int]:
-    """What a kernel returns in a new interpreter, whether it came from the disk, and if the compiler was loaded."""
+    """What a kernel returns in a new interpreter, whether it came from the disk, and if the
+    compiler was loaded.
+    """
     code = f"import sys\nsys.path.insert(0, {str(package.parent)!r})\n{MAIN}"
     command = [sys.executable, "-B", "-c", code]
-    output = subprocess.run(command, check=True, capture_output=True, text=True, cwd=package.parent).stdout
+    output = subprocess.run(
+        command, check=True, capture_output=True, text=True, cwd=package.parent
+    ).stdout
     return [int(number) for number in output.split()]
 
 
@@ -76,7 +82,9 @@ class WithoutStamp(caching.IndexDataCacheFile):
 caching.IndexDataCacheFile = WithoutStamp
 {MAIN}"""
     command = [sys.executable, "-B", "-c", code]
-    output = subprocess.run(command, check=True, capture_output=True, text=True, cwd=package.parent).stdout
+    output = subprocess.run(
+        command, check=True, capture_output=True, text=True, cwd=package.parent
+    ).stdout
     assert output.split() == ["41", "0", "1"]
     assert not list(package.rglob("*.nbi"))
 
@@ -117,7 +125,9 @@ import numpy as np
 sys.path.insert(0, {str(folder)!r})
 {statements}"""
     command = [sys.executable, "-B", "-c", code]
-    return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout.splitlines()
+    return subprocess.run(
+        command, check=True, capture_output=True, text=True, cwd=folder
+    ).stdout.splitlines()
 
 
 LACKING = """
@@ -148,8 +158,12 @@ print(largest(np.array([7, 8])), doubled_largest(np.array([4, 2])))
 
 
 def test_kept_code_can_be_loaded_while_another_kernel_is_compiled(tmp_path):
-    """Both kernels hold functions that may raise errors, whose environments are set when their code is loaded."""
-    first = "from inner_kernels import doubled_largest\nprint(doubled_largest(np.array([1.0, 5.0])))"
+    """Both kernels hold functions that may raise errors, whose environments are set when their code
+    is loaded.
+    """
+    first = (
+        "from inner_kernels import doubled_largest\nprint(doubled_largest(np.array([1.0, 5.0])))"
+    )
     assert run_inner(tmp_path, first) == ["10.0"]
     statements = """
 from inner_kernels import copied, doubled_largest, largest
@@ -177,7 +191,8 @@ from numba.core.registry import cpu_target
 from numba.core.types import functions
 from numba.np import arrayobj
 import gc
-holders = (cpu.CPUContext, dispatcher.Dispatcher, lowering.Lower, cpu_target.target_context.codegen(), arrayobj)
+codegen = cpu_target.target_context.codegen()
+holders = (cpu.CPUContext, dispatcher.Dispatcher, lowering.Lower, codegen, arrayobj)
 holders += (functions.BaseFunction, ir.Inst, postproc.PostProcessor)
 before = [dict(vars(holder)) for holder in holders]
 from inner_kernels import copied

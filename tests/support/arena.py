@@ -33,8 +33,9 @@ def made_entry(folder, manifest, **files):
 
 
 def made_results(folder, entry, times, *, seed=0, claims=()):
-    """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan, and None
-    is no score."""
+    """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan,
+    and None is no score.
+    """
     plans = plans_of(seed)
     stamp = stamp_of(entry, seed, versions={"limslam": "0"}, commit="0" * 40)
     folder.mkdir(parents=True)
@@ -44,13 +45,27 @@ def made_results(folder, entry, times, *, seed=0, claims=()):
         lost = time is None or time >= plans[plan].max_time
         half = None if time is None else 0.5 * time
         metrics = {
-            "plan_time_to_95_s": time, "plan_time_to_80_s": half, "time_to_80_s": half,
-            "correct_coverage": 0.9 if lost else max(ENOUGH, 0.99), "ate_final_m": 0.02, "wall_f1_5cm": 0.9,
-            "anees_final": None, "touches": 0, "claims_done": plan in claims or not lost,
+            "plan_time_to_95_s": time,
+            "plan_time_to_80_s": half,
+            "time_to_80_s": half,
+            "correct_coverage": 0.9 if lost else max(ENOUGH, 0.99),
+            "ate_final_m": 0.02,
+            "wall_f1_5cm": 0.9,
+            "anees_final": None,
+            "touches": 0,
+            "claims_done": plan in claims or not lost,
             "lost": "not explored in time" if lost else "",
-        }  # fmt: skip
+        }
         settings = digest_of({"plan": plans[plan].setting, "entry": entry.digest})
-        row = Row(plan, plans[plan].setting, metrics, {"cpu_s": 2.0}, stamp.versions, stamp.commit, settings)
+        row = Row(
+            plan,
+            plans[plan].setting,
+            metrics,
+            {"cpu_s": 2.0},
+            stamp.versions,
+            stamp.commit,
+            settings,
+        )
         lines.append(json.dumps(asdict(row)))
     (folder / RESULTS).write_text("\n".join(lines) + "\n")
     return folder

@@ -1,4 +1,6 @@
-"""Writes small bags of all kinds, with rosbags' own writers, for the tests of those who read them."""
+"""Writes small bags of all kinds, with rosbags' own writers, for the tests of those who read
+them.
+"""
 
 import math
 from dataclasses import dataclass
@@ -42,7 +44,9 @@ class Message:
     fields: dict[str, Any]
 
 
-def write_bag(folder: Path, messages: list[Message], kind: str = "ros1", name: str = "some") -> Path:
+def write_bag(
+    folder: Path, messages: list[Message], kind: str = "ros1", name: str = "some"
+) -> Path:
     """A bag with the messages in the order given; the path that a user would name."""
     if kind == "ros1":
         path = folder / f"{name}.bag"
@@ -67,15 +71,22 @@ def _fill(writer: Any, messages: list[Message], version: int) -> None:
     connections: dict[str, Any] = {}
     for message in messages:
         if message.topic not in connections:
-            connections[message.topic] = writer.add_connection(message.topic, message.kind, typestore=store)
+            connections[message.topic] = writer.add_connection(
+                message.topic, message.kind, typestore=store
+            )
         content = build(store, message.kind, message.fields, version)
         pack = store.serialize_ros1 if version == 1 else store.serialize_cdr
-        writer.write(connections[message.topic], round(1e9 * message.at), pack(content, message.kind))
+        writer.write(
+            connections[message.topic], round(1e9 * message.at), pack(content, message.kind)
+        )
 
 
 def build(store: Any, kind: str, fields: dict[str, Any], version: int) -> Any:
     """A message of a type; what is not named is zero."""
-    values = {name: _value(store, node, fields.get(name), version) for name, node in store.fielddefs[kind][1]}
+    values = {
+        name: _value(store, node, fields.get(name), version)
+        for name, node in store.fielddefs[kind][1]
+    }
     return store.types[kind](**values)
 
 
@@ -93,7 +104,10 @@ def _value(store: Any, node: Any, given: Any, version: int) -> Any:
 
 def header(at: float, frame: str = "") -> dict[str, Any]:
     nanoseconds = round(1e9 * at)
-    return {"stamp": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}, "frame_id": frame}
+    return {
+        "stamp": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9},
+        "frame_id": frame,
+    }
 
 
 def rotation(yaw: float, roll: float = 0.0) -> dict[str, float]:
@@ -111,24 +125,45 @@ def pose(x: float, y: float, yaw: float) -> dict[str, Any]:
 
 
 def odometry(
-    at: float, x: float, y: float = 0.0, yaw: float = 0.0, topic: str = "/odom", stamp: float | None = None
+    at: float,
+    x: float,
+    y: float = 0.0,
+    yaw: float = 0.0,
+    topic: str = "/odom",
+    stamp: float | None = None,
 ) -> Message:
     fields = {"header": header(at if stamp is None else stamp), "child_frame_id": "base_link"}
-    return Message(topic, "nav_msgs/msg/Odometry", at, {**fields, "pose": {"pose": pose(x, y, yaw)}})
+    return Message(
+        topic, "nav_msgs/msg/Odometry", at, {**fields, "pose": {"pose": pose(x, y, yaw)}}
+    )
 
 
-def scan(at: float, ranges: list[float], topic: str = "/scan", stamp: float | None = None, **fields: Any) -> Message:
+def scan(
+    at: float, ranges: list[float], topic: str = "/scan", stamp: float | None = None, **fields: Any
+) -> Message:
     """A LaserScan over half a turn, from the right, unless its fields say otherwise."""
     frame = fields.pop("frame", "laser")
     step = math.pi / max(len(ranges) - 1, 1)
-    layout = {"angle_min": -math.pi / 2, "angle_increment": step, "range_min": 0.05, "range_max": 8.0, **fields}
+    layout = {
+        "angle_min": -math.pi / 2,
+        "angle_increment": step,
+        "range_min": 0.05,
+        "range_max": 8.0,
+        **fields,
+    }
     content = {"header": header(at if stamp is None else stamp, frame), "ranges": ranges, **layout}
     return Message(topic, "sensor_msgs/msg/LaserScan", at, content)
 
 
-def distance(at: float, value: float, topic: str, frame: str = "", stamp: float | None = None) -> Message:
+def distance(
+    at: float, value: float, topic: str, frame: str = "", stamp: float | None = None
+) -> Message:
     """A Range."""
-    content = {"header": header(at if stamp is None else stamp, frame), "min_range": 0.04, "max_range": 4.0}
+    content = {
+        "header": header(at if stamp is None else stamp, frame),
+        "min_range": 0.04,
+        "max_range": 4.0,
+    }
     return Message(topic, "sensor_msgs/msg/Range", at, {**content, "range": value})
 
 

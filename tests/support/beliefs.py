@@ -21,7 +21,11 @@ BLOCKED = np.where(np.abs(ROBOT.beam_angles) < math.radians(20.0), 0.05, CLEAR)
 def grid_of(*rows: str) -> GridView:
     """A grid drawn with . for free, # for occupied and ? for unknown; the first row is row 0."""
     meaning = {".": 2, "#": -4, "?": 0}
-    return GridView(np.zeros(2), CELL, np.array([[meaning[cell] for cell in row] for row in rows], dtype=np.int16))
+    return GridView(
+        np.zeros(2),
+        CELL,
+        np.array([[meaning[cell] for cell in row] for row in rows], dtype=np.int16),
+    )
 
 
 def place(row: int, column: int, heading: float = 0.0) -> FloatArray:
@@ -32,8 +36,8 @@ def belief_of(pose: FloatArray, grid: GridView, ranges: FloatArray = CLEAR) -> B
     return Belief(pose, np.zeros((3, 3)), ranges, np.zeros((0, 4)), grid)
 
 
-# A corridor that is open to the right, a closed room, a hall with two open ends, and a room beside free cells that no
-# path leads to.
+# A corridor that is open to the right, a closed room, a hall with two open ends, and a room beside
+# free cells that no path leads to.
 CORRIDOR = grid_of("#" * 30, *["#" + "." * 29] * 5, "#" * 30)
 CLOSED = grid_of("#" * 12, *["#" + "." * 10 + "#"] * 8, "#" * 12)
 HALL = grid_of("#" * 41, *["." * 41] * 7, "#" * 41)
@@ -41,7 +45,9 @@ CUT_OFF = grid_of("#" * 18, *["#" + "." * 10 + "#" + "." * 6] * 8, "#" * 18)
 
 
 def actions_until_stopped(policy: Policy, belief: Belief, most: int = 3000) -> FloatArray:
-    """The actions (n, 2) of a robot that does not move although its wheels turn, until the policy stops."""
+    """The actions (n, 2) of a robot that does not move although its wheels turn, until the policy
+    stops.
+    """
     actions = []
     while policy.stop_reason is None and len(actions) < most:
         actions.append(np.array(policy.act(belief)))
@@ -54,7 +60,9 @@ def drive(pose: FloatArray, action: FloatArray) -> FloatArray:
     return se2.compose(pose, se2.arc(*se2.wheels_to_arc(travel, ROBOT.axle)))
 
 
-def explored(world: World | str, policy: Policy, max_time: float, seed: int = 100) -> tuple[float, int]:
+def explored(
+    world: World | str, policy: Policy, max_time: float, seed: int = 100
+) -> tuple[float, int]:
     """True coverage and contacts begun of an agent with a policy, 2 cm noise."""
     noise = NoiseConfig(sensor_noise=0.02)
     env = LimSlamEnv(world, robot=ROBOT, noise=noise, coverage_goal=None)
@@ -65,4 +73,6 @@ def explored(world: World | str, policy: Policy, max_time: float, seed: int = 10
     while info["time"] < max_time and policy.stop_reason is None:
         observation, _, _, _, info = env.step(agent.act(observation))
         contacts.append(info["collision"])
-    return float(info["coverage"]), int(np.count_nonzero(np.diff(contacts, prepend=False)[1:] & contacts[1:]))
+    return float(info["coverage"]), int(
+        np.count_nonzero(np.diff(contacts, prepend=False)[1:] & contacts[1:])
+    )

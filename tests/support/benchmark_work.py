@@ -1,4 +1,6 @@
-"""Work for the engines of the benchmark that takes no time, and work that fails. Worker processes import it."""
+"""Work for the engines of the benchmark that takes no time, and work that fails. Worker processes
+import it.
+"""
 
 import os
 import signal

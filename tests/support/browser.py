@@ -1,4 +1,6 @@
-"""A headless Chromium that is driven through two pipes by the DevTools protocol, without further libraries."""
+"""A headless Chromium that is driven through two pipes by the DevTools protocol, without further
+libraries.
+"""
 
 import base64
 import json
@@ -14,7 +16,12 @@ from pathlib import Path
 from typing import Any
 
 CHROMIUM = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
+    (
+        path
+        for name in ("chromium", "chromium-browser", "google-chrome")
+        if (path := shutil.which(name))
+    ),
+    "",
 )
 """The browser; empty where there is none."""
 
@@ -22,11 +29,19 @@ PATIENCE = 60.0
 """Seconds after which the browser counts as dead. Nothing depends on how fast it is."""
 
 _OPTIONS = (
-    "--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--no-first-run", "--disable-extensions",
-    "--disable-background-networking", "--disable-dev-shm-usage", "--remote-debugging-pipe",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--hide-scrollbars",
+    "--no-first-run",
+    "--disable-extensions",
+    "--disable-background-networking",
+    "--disable-dev-shm-usage",
+    "--remote-debugging-pipe",
+)
 
-# Chromium reads from descriptor 3 and writes to descriptor 4, which the pipes may have in the other order.
+# Chromium reads from descriptor 3 and writes to descriptor 4, which the pipes may have in the other
+# order.
 _MOVE = """
 import os, sys
 reads, writes = (os.dup(os.dup(os.dup(int(each)))) for each in sys.argv[1:3])
@@ -42,7 +57,8 @@ class Browser:
     Attributes
     ----------
     errors
-        Errors and warnings that the page has written to its console, and exceptions that nothing caught.
+        Errors and warnings that the page has written to its console, and exceptions that nothing
+        caught.
     requests
         Addresses that the page has asked for, without its own file and data in it.
     """
@@ -53,7 +69,9 @@ class Browser:
         self.errors: list[str] = []
         self.requests: list[str] = []
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)[
+            "sessionId"
+        ]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
 
@@ -68,7 +86,9 @@ class Browser:
         assert "error" not in answer, f"{method}: {answer['error']}"
         return dict(answer["result"])
 
-    def open(self, page: Path | str, width: int = 1440, height: int = 900, fragment: str = "") -> None:
+    def open(
+        self, page: Path | str, width: int = 1440, height: int = 900, fragment: str = ""
+    ) -> None:
         """Open a page in a window of a size, and wait until it says that it is ready."""
         self.resize(width, height)
         address = page.as_uri() if isinstance(page, Path) else page
@@ -78,7 +98,9 @@ class Browser:
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page."""
-        found = self.send("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        found = self.send(
+            "Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True
+        )
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
@@ -138,10 +160,21 @@ def browser(profile: Path) -> Iterator[Browser]:
     """A browser with an empty profile in a folder. It ends with the context."""
     their_input, our_output = os.pipe()
     our_input, their_output = os.pipe()
-    command = [sys.executable, "-c", _MOVE, str(their_input), str(their_output), CHROMIUM, *_OPTIONS]
+    command = [
+        sys.executable,
+        "-c",
+        _MOVE,
+        str(their_input),
+        str(their_output),
+        CHROMIUM,
+        *_OPTIONS,
+    ]
     command += [f"--user-data-dir={profile}", "about:blank"]
     with subprocess.Popen(
-        command, pass_fds=(their_input, their_output), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        command,
+        pass_fds=(their_input, their_output),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
     ) as process:
         os.close(their_input)
         os.close(their_output)

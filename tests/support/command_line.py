@@ -1,4 +1,6 @@
-"""Calls of the command lines in this process, which spares the start of an interpreter and the imports in it."""
+"""Calls of the command lines in this process, which spares the start of an interpreter and the
+imports in it.
+"""
 
 import signal
 import sys
@@ -15,7 +17,9 @@ __all__ = ["Finished", "app", "benchmarks", "limslam", "refused", "told"]
 
 
 class Finished(NamedTuple):
-    """A call that has ended: its exit code, and what it wrote to standard output and standard error."""
+    """A call that has ended: its exit code, and what it wrote to standard output and standard
+    error.
+    """
 
     returncode: int
     stdout: str

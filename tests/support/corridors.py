@@ -1,4 +1,6 @@
-"""Simulated logs for the graph of local maps: laps of a corridor, with odometry that is wrong in known ways."""
+"""Simulated logs for the graph of local maps: laps of a corridor, with odometry that is wrong in
+known ways.
+"""
 
 from dataclasses import replace
 
@@ -10,14 +12,18 @@ from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import beams_on_rim
 
-SIX_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.10, max_range=5.0))
+SIX_BEAMS = RobotSpec(
+    beams=beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.10, max_range=5.0)
+)
 FOUR_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0, 180.0), 0.05, max_range=5.0))
 EVERY = 4
 TURN_PER_METRE = np.radians(2.0)
 
 
 def walls() -> FloatArray:
-    """A corridor 2 m wide round a block, its outline 12 x 9 m, with alcoves so that no side looks like another."""
+    """A corridor 2 m wide round a block, its outline 12 x 9 m, with alcoves so that no side looks
+    like another.
+    """
     alcoves = [
         room(3.0, -0.6, 4.5, 0.0),
         room(12.0, 2.0, 12.7, 3.0),
@@ -35,7 +41,9 @@ def plain_walls() -> FloatArray:
 
 
 def uneven_walls() -> FloatArray:
-    """A corridor that is wider on one side, with cupboards along its walls: it fits into itself at no other place."""
+    """A corridor that is wider on one side, with cupboards along its walls: it fits into itself at
+    no other place.
+    """
     cupboards = [
         room(3.0, 0.0, 6.0, 0.5),
         room(11.5, 2.5, 12.0, 3.5),
@@ -49,7 +57,13 @@ def uneven_walls() -> FloatArray:
 def later_part(log: LogData, first: int) -> LogData:
     """A log from an event on, with odometry that begins at the origin."""
     odometry = se2.between(log.odometry[first], log.odometry[first:])
-    return replace(log, time=log.time[first:], odometry=odometry, ranges=log.ranges[first:], hit=log.hit[first:])
+    return replace(
+        log,
+        time=log.time[first:],
+        odometry=odometry,
+        ranges=log.ranges[first:],
+        hit=log.hit[first:],
+    )
 
 
 def corridor_log(
@@ -61,11 +75,18 @@ def corridor_log(
     slip: float = 0.0,
     world: FloatArray | None = None,
 ) -> tuple[LogData, FloatArray]:
-    """A log of laps and the true poses (n, 3); ``slip`` (rad) is missed by odometry once, in the middle."""
+    """A log of laps and the true poses (n, 3); ``slip`` (rad) is missed by odometry once, in the
+    middle.
+    """
     corners = [(1.0, 1.0), (11.0, 1.0), (11.0, 8.0), (1.0, 8.0)]
     places = [*(corners * laps), corners[0], (6.0, 1.0)]
     observations, truth = drive(
-        walls() if world is None else world, np.array([1.0, 1.0, 0.0]), along(places), robot, noise, seed
+        walls() if world is None else world,
+        np.array([1.0, 1.0, 0.0]),
+        along(places),
+        robot,
+        noise,
+        seed,
     )
     rows = np.arange(0, len(truth), EVERY)
     ranges = np.array([observations[row]["ranges"] for row in rows], dtype=float)
@@ -73,7 +94,9 @@ def corridor_log(
     generator = np.random.default_rng(seed)
     moves = se2.between(truth[:-1], truth[1:])
     length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
-    spread = np.column_stack((0.02 * np.sqrt(length), 0.01 * np.sqrt(length), 0.02 * np.sqrt(length + turn)))
+    spread = np.column_stack(
+        (0.02 * np.sqrt(length), 0.01 * np.sqrt(length), 0.02 * np.sqrt(length + turn))
+    )
     moves += spread * generator.standard_normal(moves.shape)
     moves[:, 2] -= bias * moves[:, 0]
     moves[len(moves) // 2, 2] += slip
@@ -82,10 +105,15 @@ def corridor_log(
         odometry[row] = se2.compose(odometry[row - 1], move)
     hit = (ranges > robot.too_near) & (ranges < robot.too_far)
     time = 0.1 * np.asarray(rows, dtype=float)
-    return LogData(time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, 5.0, noise), truth
+    return LogData(
+        time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, 5.0, noise
+    ), truth
 
 
 def loop_errors(poses: FloatArray, truth: FloatArray, apart: int) -> FloatArray:
     """Errors (k,) m of the motions between events so many rows apart."""
-    wanted, found = se2.between(truth[:-apart], truth[apart:]), se2.between(poses[:-apart], poses[apart:])
+    wanted, found = (
+        se2.between(truth[:-apart], truth[apart:]),
+        se2.between(poses[:-apart], poses[apart:]),
+    )
     return np.asarray(np.hypot(*(found - wanted)[:, :2].T))

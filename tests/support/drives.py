@@ -1,4 +1,6 @@
-"""Drives for tests of estimators: along walls of nothing but geometry, and round the square by the truth."""
+"""Drives for tests of estimators: along walls of nothing but geometry, and round the square by the
+truth.
+"""
 
 import math
 from dataclasses import dataclass
@@ -52,7 +54,9 @@ def drive(
     noise: float = 0.0,
     seed: int = 0,
 ) -> tuple[list[Observation], FloatArray]:
-    """Observations, and true poses (n, 3), along given wheel travels; the first is taken at the start."""
+    """Observations, and true poses (n, 3), along given wheel travels; the first is taken at the
+    start.
+    """
     generator = np.random.default_rng(seed)
     pose, poses, observations = start, [], []
     for travel in [(0.0, 0.0), *wheels]:
@@ -62,7 +66,9 @@ def drive(
         seen = ranges < robot.too_far
         ranges[seen] += noise * generator.standard_normal(len(ranges))[seen]
         ranges = np.clip(ranges, robot.min_ranges, robot.max_ranges)
-        observations.append(Observation(ranges=ranges.astype(np.float32), wheels=np.array(travel, dtype=np.float32)))
+        observations.append(
+            Observation(ranges=ranges.astype(np.float32), wheels=np.array(travel, dtype=np.float32))
+        )
     return observations, np.array(poses)
 
 
@@ -86,13 +92,19 @@ def along(
     for (x1, y1), (x2, y2) in pairwise(places):
         towards = math.atan2(y2 - y1, x2 - x1)
         change = math.degrees(se2.wrap_angle(towards - heading))
-        wheels += [*(turn(change, robot) if abs(change) > 1e-6 else []), *straight(math.hypot(x2 - x1, y2 - y1))]
+        wheels += [
+            *(turn(change, robot) if abs(change) > 1e-6 else []),
+            *straight(math.hypot(x2 - x1, y2 - y1)),
+        ]
         heading = towards
     return wheels
 
 
 def recorded(
-    observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT
+    observations: list[Observation],
+    config: AgentConfig,
+    start: FloatArray,
+    robot: RobotSpec = ROBOT,
 ) -> tuple[LineSlam, list[AssociationRecord]]:
     """The mapping half during a drive, and what became of each observed line."""
     slam, records = LineSlam(robot, config, start), list[AssociationRecord]()
@@ -103,9 +115,14 @@ def recorded(
 
 
 def slam_after(
-    observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT
+    observations: list[Observation],
+    config: AgentConfig,
+    start: FloatArray,
+    robot: RobotSpec = ROBOT,
 ) -> tuple[LineSlam, list[AssociationRecord]]:
-    """As :func:`recorded`, with the readings used that were still pending at the end of the drive."""
+    """As :func:`recorded`, with the readings used that were still pending at the end of the
+    drive.
+    """
     slam, records = recorded(observations, config, start, robot)
     slam.finish()
     return slam, records
@@ -113,7 +130,9 @@ def slam_after(
 
 @dataclass(frozen=True, eq=False)
 class LapLog:
-    """Laps round the square corridor by one robot, a row a step: what it was told, and what was true."""
+    """Laps round the square corridor by one robot, a row a step: what it was told, and what was
+    true.
+    """
 
     observations: list[Observation]
     poses: FloatArray
@@ -132,9 +151,14 @@ def laps_of_square(
     wheel_variance: float = 2e-5,
     start: tuple[float, float, float] = (1.0, 1.0, 0.0),
 ) -> LapLog:
-    """Round the corridor at 0.25 m/s, driven by somebody who knows the true pose; ``laps`` in quarters."""
+    """Round the corridor at 0.25 m/s, driven by somebody who knows the true pose; ``laps`` in
+    quarters.
+    """
     env = LimSlamEnv(
-        SQUARE, robot=robot, noise=NoiseConfig(sensor_noise=noise, wheel_variance=wheel_variance), coverage_goal=None
+        SQUARE,
+        robot=robot,
+        noise=NoiseConfig(sensor_noise=noise, wheel_variance=wheel_variance),
+        coverage_goal=None,
     )
     sides = round(4 * laps)
     route = [SQUARE.loop[(1 + number) % 4].tolist() for number in range(sides)]
@@ -156,9 +180,13 @@ def _towards(pose: FloatArray, goal: list[float], robot: RobotSpec) -> tuple[flo
     error = se2.wrap_angle(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - float(pose[2]))
     most = 2.0 * (robot.max_wheel_speed - SPEED) / robot.axle
     difference = 0.5 * robot.axle * min(max(2.0 * error, -most), most)
-    return (SPEED - difference) / robot.max_wheel_speed, (SPEED + difference) / robot.max_wheel_speed
+    return (SPEED - difference) / robot.max_wheel_speed, (
+        SPEED + difference
+    ) / robot.max_wheel_speed
 
 
 def room(low_x: float, low_y: float, high_x: float, high_y: float) -> FloatArray:
     """Four walls (4, 4)."""
-    return segment.polygon_edges(np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]))
+    return segment.polygon_edges(
+        np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]])
+    )

@@ -15,8 +15,14 @@ EVERYTHING = NoiseConfig.sharp(
 
 
 def held_actions(steps: int, *robots: int, seed: int = 0) -> np.ndarray:
-    """Actions (steps, *robots, 2) that are held for a while, so that robots meet walls and each other."""
-    held = np.random.default_rng(seed).uniform(-0.4, 1.0, (steps // 25 + 1, *robots, 2)).astype(np.float32)
+    """Actions (steps, *robots, 2) that are held for a while, so that robots meet walls and each
+    other.
+    """
+    held = (
+        np.random.default_rng(seed)
+        .uniform(-0.4, 1.0, (steps // 25 + 1, *robots, 2))
+        .astype(np.float32)
+    )
     return np.repeat(held, 25, axis=0)[:steps]
 
 

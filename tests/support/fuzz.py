@@ -1,7 +1,8 @@
-"""Mutates valid files of every format that the project reads, and checks that each reader answers as documented.
+"""Mutates valid files of every format that the project reads, and checks that each reader answers
+as documented.
 
-``python tests/support/fuzz.py --count 50000`` runs it from the folder of the checkout, in batches of child processes
-whose memory is limited.
+``python tests/support/fuzz.py --count 50000`` runs it from the folder of the checkout, in batches
+of child processes whose memory is limited.
 """
 
 import argparse
@@ -45,15 +46,52 @@ from limslam_env.messages import LONGEST_MESSAGE
 LONGEST_S = 5
 MOST_BYTES = 500_000_000
 EXTREMES = (
-    "0", "-0.0", "-1", "1e308", "-1e308", "1e-320", "nan", "inf", "-inf", "1e400", "9" * 400, "2.5", "true", "null",
-    '""', "[]", "{}", "[[]]", '"\\u001b[2J"', '"\\ud800"', "-9223372036854775809", "4294967296", "x" * 3000,
-    "9" * 5000, "1979-05-27", "{ a = 1 }", "[", "]", "=", ",", "'", '"', "0x", "\0", "#", "[[walls]]", "1_0", "\\u0000",
-)  # fmt: skip
+    "0",
+    "-0.0",
+    "-1",
+    "1e308",
+    "-1e308",
+    "1e-320",
+    "nan",
+    "inf",
+    "-inf",
+    "1e400",
+    "9" * 400,
+    "2.5",
+    "true",
+    "null",
+    '""',
+    "[]",
+    "{}",
+    "[[]]",
+    '"\\u001b[2J"',
+    '"\\ud800"',
+    "-9223372036854775809",
+    "4294967296",
+    "x" * 3000,
+    "9" * 5000,
+    "1979-05-27",
+    "{ a = 1 }",
+    "[",
+    "]",
+    "=",
+    ",",
+    "'",
+    '"',
+    "0x",
+    "\0",
+    "#",
+    "[[walls]]",
+    "1_0",
+    "\\u0000",
+)
 
 
 @dataclass(frozen=True)
 class Target:
-    """A format: the files of a valid input by their names, the one that is mutated, and what reads it."""
+    """A format: the files of a valid input by their names, the one that is mutated, and what reads
+    it.
+    """
 
     name: str
     files: dict[str, bytes]
@@ -66,17 +104,27 @@ class Target:
 
 def _drive() -> list[Any]:
     turns = [(10.0 + 0.1 * step, 0.05 * step) for step in range(8)]
-    return [each for at, x in turns for each in (odometry(at, x), scan(at, [1.0, 2.0, 3.0, 2.0, 1.0]))]
+    return [
+        each for at, x in turns for each in (odometry(at, x), scan(at, [1.0, 2.0, 3.0, 2.0, 1.0]))
+    ]
 
 
 def _ranges() -> list[Any]:
     turns = [(10.0 + 0.1 * step, 0.05 * step) for step in range(8)]
     names = ("/left", "/right")
-    return [each for at, x in turns for each in (odometry(at, x), *(distance(at, 1.0, name) for name in names))]
+    return [
+        each
+        for at, x in turns
+        for each in (odometry(at, x), *(distance(at, 1.0, name) for name in names))
+    ]
 
 
 def _content(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def _npz(**arrays: Any) -> bytes:
@@ -87,24 +135,38 @@ def _npz(**arrays: Any) -> bytes:
 
 def _log_npz() -> bytes:
     return _npz(
-        time=np.arange(5.0), ranges=np.ones((5, 6)), wheels=np.zeros((5, 2)), action=np.zeros((5, 2)),
-        true_pose=np.zeros((5, 3)), wall_seen=np.zeros((5, 6)), robot=RobotSpec().to_json(), start_pose=np.zeros(3),
-    )  # fmt: skip
+        time=np.arange(5.0),
+        ranges=np.ones((5, 6)),
+        wheels=np.zeros((5, 2)),
+        action=np.zeros((5, 2)),
+        true_pose=np.zeros((5, 3)),
+        wall_seen=np.zeros((5, 6)),
+        robot=RobotSpec().to_json(),
+        start_pose=np.zeros(3),
+    )
 
 
 WORLD = (
-    'name = "some"\nsize = [4.0, 4.0]\nwalls = [[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]]\n'
-    "obstacles = [[[1, 1], [1.5, 1], [1.2, 1.5]]]\ndoors = [[1, 0, 2, 0]]\nstarts = [[2.5, 2.5, 0.5]]\n"
+    'name = "some"\nsize = [4.0, 4.0]\nwalls = [[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, '
+    "0, 0]]\n"
+    "obstacles = [[[1, 1], [1.5, 1], [1.2, 1.5]]]\ndoors = [[1, 0, 2, 0]]\nstarts = [[2.5, 2.5, "
+    "0.5]]\n"
     "loop = [[2, 2], [3, 2], [3, 3]]\n"
 )
 SUITE = (
-    'name = "some"\ndescription = "words"\n[[grid]]\nworlds = ["square", "random:0..1"]\nnoises = [0.0, 0.02]\n'
-    'seeds = { first = 0, count = 2 }\npresets = ["paper"]\npolicies = ["frontier"]\nmax_time = 10.0\n'
+    'name = "some"\ndescription = "words"\n[[grid]]\nworlds = ["square", "random:0..1"]\nnoises = '
+    "[0.0, 0.02]\n"
+    'seeds = { first = 0, count = 2 }\npresets = ["paper"]\npolicies = ["frontier"]\nmax_time = '
+    "10.0\n"
 )
 SETTINGS = (
-    'preset = "consistent"\nnoise = 0.02\nseed = 3\n[agent.grid]\ncell = 0.1\n[agent.noise]\nwheel_variance = 2e-5\n'
+    'preset = "consistent"\nnoise = 0.02\nseed = 3\n[agent.grid]\ncell = '
+    "0.1\n[agent.noise]\nwheel_variance = 2e-5\n"
 )
-MAP = "image: some.{}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+MAP = (
+    "image: some.{}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: 0\noccupied_thresh: "
+    "0.65\nfree_thresh: 0.196\n"
+)
 
 
 def _room() -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -116,10 +178,21 @@ def _room() -> np.ndarray[Any, np.dtype[np.uint8]]:
 def _run_folder() -> dict[str, bytes]:
     tum = "".join(f"{time} 0 0 0 0 0 0 1\n" for time in range(5)).encode()
     result = {
-        "metrics": {"coverage": 0.9, "time": 5.0}, "cost": {"slam_ms_mean": 1.0}, "seed": 1,
-        "config": {"world": "env1", "noise": 0.02, "preset": "paper", "robot": {"axle": 0.16}, "agent": {}},
-    }  # fmt: skip
-    texts = {"result.json": json.dumps(result), "map.json": json.dumps({"segments": [[0, 0, 1, 1]]})}
+        "metrics": {"coverage": 0.9, "time": 5.0},
+        "cost": {"slam_ms_mean": 1.0},
+        "seed": 1,
+        "config": {
+            "world": "env1",
+            "noise": 0.02,
+            "preset": "paper",
+            "robot": {"axle": 0.16},
+            "agent": {},
+        },
+    }
+    texts = {
+        "result.json": json.dumps(result),
+        "map.json": json.dumps({"segments": [[0, 0, 1, 1]]}),
+    }
     files = {name: text.encode() for name, text in texts.items()}
     return files | {"trajectory_est.tum": tum, "trajectory_true.tum": tum, "log.npz": _log_npz()}
 
@@ -154,14 +227,25 @@ def targets() -> list[Target]:
     from PIL import Image
 
     lines = "".join(
-        f"FLASER 181 {' '.join(['1.5'] * 181)} {at} 0 0 {at} 0 0 {at} host {at}\nODOM {at} 0 0 0 0 0 {at} host {at}\n"
+        f"FLASER 181 {' '.join(['1.5'] * 181)} {at} 0 0 {at} 0 0 {at} host {at}\nODOM {at} 0 0 0 "
+        f"0 0 {at} host {at}\n"
         for at in range(1, 5)
     ).encode()
-    table = b"t,x,y,theta,r_-90,r_0,r_90\n" + b"".join(b"%d,0.1,0.2,0.3,1,,2.5\n" % at for at in range(6))
+    table = b"t,x,y,theta,r_-90,r_0,r_90\n" + b"".join(
+        b"%d,0.1,0.2,0.3,1,,2.5\n" % at for at in range(6)
+    )
     row = {
-        "world": "env1", "noise": 0.02, "robots": 1, "preset": "paper", "policy": "frontier", "ablation": None,
-        "laps": 0, "seed": 1, "metrics": {"coverage": 0.5}, "key": "k",
-    }  # fmt: skip
+        "world": "env1",
+        "noise": 0.02,
+        "robots": 1,
+        "preset": "paper",
+        "policy": "frontier",
+        "ablation": None,
+        "laps": 0,
+        "seed": 1,
+        "metrics": {"coverage": 0.5},
+        "key": "k",
+    }
     walls = [[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]]
     png = io.BytesIO()
     Image.fromarray(_room()).save(png, "PNG")
@@ -170,7 +254,12 @@ def targets() -> list[Target]:
     relations = b"1 2 0.1 0 0 0 0 0.2 # words\n" * 4
     single = [
         Target("world.toml", {"w.toml": WORLD.encode()}, "w.toml", _checked),
-        Target("walls.json", {"w.json": json.dumps({"id": "w", "walls": walls}).encode()}, "w.json", _checked),
+        Target(
+            "walls.json",
+            {"w.json": json.dumps({"id": "w", "walls": walls}).encode()},
+            "w.json",
+            _checked,
+        ),
         Target(
             "house.json",
             {"h.json": json.dumps({"id": "h", "verts": [[0, 0], [4, 0], [4, 4]]}).encode()},
@@ -187,17 +276,30 @@ def targets() -> list[Target]:
         Target("results", {"r.jsonl": json.dumps(row).encode() + b"\n"}, "r.jsonl", read_rows),
         Target("run.toml", {"r.toml": SETTINGS.encode()}, "r.toml", _set_up),
         Target(
-            "replay.toml", {"r.toml": b'preset = "paper"\nbeams = "1,2"\nmax_range = 3.0\n'}, "r.toml", _set_up_replay
+            "replay.toml",
+            {"r.toml": b'preset = "paper"\nbeams = "1,2"\nmax_range = 3.0\n'},
+            "r.toml",
+            _set_up_replay,
         ),
         Target("weights", {"w.npz": (WEIGHTS / SHIPPED).read_bytes()}, "w.npz", load_network),
     ]
     maps = [
-        Target(f"map {name}", {"m.yaml": MAP.format(suffix).encode(), f"some.{suffix}": picture}, mutated, _map)
+        Target(
+            f"map {name}",
+            {"m.yaml": MAP.format(suffix).encode(), f"some.{suffix}": picture},
+            mutated,
+            _map,
+        )
         for suffix, picture in (("pgm", pgm), ("png", png.getvalue()), ("pgm", plain))
-        for name, mutated in ((f"yaml {picture[:2]!r}", "m.yaml"), (f"{picture[:2]!r}", f"some.{suffix}"))
+        for name, mutated in (
+            (f"yaml {picture[:2]!r}", "m.yaml"),
+            (f"{picture[:2]!r}", f"some.{suffix}"),
+        )
     ]
     folder = _run_folder()
-    shown = [Target(f"show {name}", folder, name, lambda path: _shown(path.parent)) for name in folder]
+    shown = [
+        Target(f"show {name}", folder, name, lambda path: _shown(path.parent)) for name in folder
+    ]
     return single + maps + shown + _bags()
 
 
@@ -218,12 +320,25 @@ def _bags() -> list[Target]:
             with tempfile.TemporaryDirectory() as folder:
                 path = write_bag(Path(folder), messages, kind)
                 if kind == "ros1":
-                    found.append(Target(f"ros1 {content}", {path.name: path.read_bytes()}, path.name, _log))
+                    found.append(
+                        Target(f"ros1 {content}", {path.name: path.read_bytes()}, path.name, _log)
+                    )
                     continue
                 storage, files = storage_of(path).name, _content(path)
-                found.append(Target(f"{kind} {content}", files, storage, lambda path: _log(path.parent)))
-                found.append(Target(f"{kind} {content} alone", {storage: files[storage]}, storage, _log))
-                found.append(Target(f"{kind} {content} yaml", files, "metadata.yaml", lambda path: _log(path.parent)))
+                found.append(
+                    Target(f"{kind} {content}", files, storage, lambda path: _log(path.parent))
+                )
+                found.append(
+                    Target(f"{kind} {content} alone", {storage: files[storage]}, storage, _log)
+                )
+                found.append(
+                    Target(
+                        f"{kind} {content} yaml",
+                        files,
+                        "metadata.yaml",
+                        lambda path: _log(path.parent),
+                    )
+                )
     return found
 
 
@@ -292,7 +407,9 @@ def _swap(content: bytes, generator: random.Random) -> bytes:
 
 
 def _replace_number(content: bytes, generator: random.Random) -> bytes:
-    """Replace one value of a text: a number, a quoted text or a list, as TOML, JSON, YAML and tables have them."""
+    """Replace one value of a text: a number, a quoted text or a list, as TOML, JSON, YAML and
+    tables have them.
+    """
     spans, begin = [], None
     for place, byte in enumerate(content[:20_000]):
         is_part = chr(byte) in "0123456789.+-eE"
@@ -314,9 +431,13 @@ MUTATIONS = (_flip, _cut, _double, _drop, _swap, _replace_number, _replace_numbe
 
 
 def examine(target: Target, folder: Path, generator: random.Random) -> str | None:
-    """Read one mutated input. What went wrong, or None: the reader read it, or refused it as documented."""
+    """Read one mutated input. What went wrong, or None: the reader read it, or refused it as
+    documented.
+    """
     for name, content in target.files.items():
-        (folder / name).write_bytes(mutated(content, generator) if name == target.mutated else content)
+        (folder / name).write_bytes(
+            mutated(content, generator) if name == target.mutated else content
+        )
     begin, found = time.process_time(), None
     signal.alarm(10 * LONGEST_S)
     try:
@@ -324,12 +445,20 @@ def examine(target: Target, folder: Path, generator: random.Random) -> str | Non
     except ValueError as error:
         message = str(error)
         # Options have no file, and a world that is loaded is called by its name.
-        is_named = str(folder) in message or target.mutated == "r.toml" or message.startswith("world ")
+        is_named = (
+            str(folder) in message or target.mutated == "r.toml" or message.startswith("world ")
+        )
         if not is_named or "\n" in message or len(message) > 2 * LONGEST_MESSAGE:
-            found = f"a refusal that is not one short line about the file: {type(error).__name__} {message[:200]!r}"
+            found = (
+                f"a refusal that is not one short line about the file: {type(error).__name__} "
+                f"{message[:200]!r}"
+            )
     except BaseException as error:  # noqa: BLE001 (whatever it is, it is what is looked for)
         place = traceback.extract_tb(error.__traceback__)[-1]
-        found = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {str(error)[:120]!r}"
+        found = (
+            f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: "
+            f"{str(error)[:120]!r}"
+        )
     finally:
         signal.alarm(0)
     took = time.process_time() - begin
@@ -342,7 +471,8 @@ def fuzz(count: int, seed: int, keep: Path | None = None) -> Counter[str]:
     everything = targets()
     before = signal.signal(signal.SIGALRM, _too_slow)
     for number in range(count):
-        target, generator = everything[number % len(everything)], random.Random(seed * 1_000_003 + number)  # noqa: S311
+        target = everything[number % len(everything)]
+        generator = random.Random(seed * 1_000_003 + number)  # noqa: S311
         with tempfile.TemporaryDirectory() as folder:
             problem = examine(target, Path(folder), generator)
             if problem:
@@ -382,7 +512,11 @@ def main() -> None:
         found, used = results.get()
         child.join()
         total, most = total + found, max(most, used)
-        print(f"{begin + arguments[0]} inputs, {sum(total.values())} problems, up to {most / 1e6:.0f} MB", flush=True)  # noqa: T201
+        print(  # noqa: T201
+            f"{begin + arguments[0]} inputs, {sum(total.values())} problems, up to "
+            f"{most / 1e6:.0f} MB",
+            flush=True,
+        )
     for problem, times in total.most_common():
         print(f"{times:6d}  {problem}")  # noqa: T201
     sys.exit(1 if total or most > MOST_BYTES else 0)

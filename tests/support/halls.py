@@ -16,11 +16,25 @@ from limslam_env.geometry import se2
 ROBOT, STD = RobotSpec(), 0.01
 SENSOR = RangeSensor(STD)
 # An L-shaped hall with a niche and a pillar: no two places look alike.
-HALL = np.array([
-    [0, 0, 6, 0], [6, 0, 6, 2.4], [6, 2.4, 2.6, 2.4], [2.6, 2.4, 2.6, 5], [2.6, 5, 0, 5], [0, 5, 0, 3.4],
-    [0, 3.4, 0.7, 3.4], [0.7, 3.4, 0.7, 2.6], [0.7, 2.6, 0, 2.6], [0, 2.6, 0, 0],
-    [4.2, 0.9, 4.8, 0.9], [4.8, 0.9, 4.8, 1.4], [4.8, 1.4, 4.2, 1.4], [4.2, 1.4, 4.2, 0.9],
-], dtype=float)  # fmt: skip
+HALL = np.array(
+    [
+        [0, 0, 6, 0],
+        [6, 0, 6, 2.4],
+        [6, 2.4, 2.6, 2.4],
+        [2.6, 2.4, 2.6, 5],
+        [2.6, 5, 0, 5],
+        [0, 5, 0, 3.4],
+        [0, 3.4, 0.7, 3.4],
+        [0.7, 3.4, 0.7, 2.6],
+        [0.7, 2.6, 0, 2.6],
+        [0, 2.6, 0, 0],
+        [4.2, 0.9, 4.8, 0.9],
+        [4.8, 0.9, 4.8, 1.4],
+        [4.8, 1.4, 4.2, 1.4],
+        [4.2, 1.4, 4.2, 0.9],
+    ],
+    dtype=float,
+)
 SQUARE = np.array([[0, 0, 3, 0], [3, 0, 3, 3], [3, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
 WAY = [[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]]
 PART = [[1.6, 0.9], [1.6, 1.8], [1.6, 3.6]]
@@ -37,9 +51,13 @@ def poses_along(corners, spacing=0.03):
 
 
 def readings(poses, segments, sensor=SENSOR):
-    """What a robot reads (n, n_beams), m: a wide beam reads the nearest point of a wall inside of it."""
+    """What a robot reads (n, n_beams), m: a wide beam reads the nearest point of a wall inside of
+    it.
+    """
     fans = np.linspace(-sensor.cone, sensor.cone, 41) if sensor.cone else [0.0]
-    robots = [SENSOR._replace(turns=(float(fan),) * len(ROBOT.beams)).mounted(ROBOT) for fan in fans]
+    robots = [
+        SENSOR._replace(turns=(float(fan),) * len(ROBOT.beams)).mounted(ROBOT) for fan in fans
+    ]
     found = [[ranges_at(pose, segments, robot) for pose in poses] for robot in robots]
     return np.minimum(np.min(found, axis=0) + sensor.bias, ROBOT.max_ranges)
 
@@ -55,5 +73,7 @@ def known(corners, segments):
     """The map of a drive."""
     poses = poses_along(corners)
     ranges = readings(poses, segments)[:, None]
-    grid = drawn_grid(GridConfig(), ROBOT, poses[:, None], ranges, np.ones(ranges.shape, dtype=bool))
+    grid = drawn_grid(
+        GridConfig(), ROBOT, poses[:, None], ranges, np.ones(ranges.shape, dtype=bool)
+    )
     return KnownPlaces(segments, grid, SENSOR)

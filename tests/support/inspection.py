@@ -36,7 +36,9 @@ def unpacked(text: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     length = int.from_bytes(content[:4], "little")
     header, body = json.loads(content[4 : 4 + length]), content[4 + length :]
     arrays = {
-        name: np.frombuffer(body[told["at"] : told["at"] + told["bytes"]], dtype=told["type"]).reshape(told["shape"])
+        name: np.frombuffer(
+            body[told["at"] : told["at"] + told["bytes"]], dtype=told["type"]
+        ).reshape(told["shape"])
         for name, told in header["arrays"].items()
     }
     return arrays, header["meta"]

@@ -1,4 +1,6 @@
-"""Live robots for tests: an emulated robot in this process, whose clock is that of the session, and one outside."""
+"""Live robots for tests: an emulated robot in this process, whose clock is that of the session, and
+one outside.
+"""
 
 import subprocess
 import sys
@@ -18,7 +20,9 @@ NOISE = 0.02
 
 @dataclass(frozen=True)
 class Faults:
-    """What a connection does to lines: probabilities that one is lost, late (by 0.2 s), doubled or damaged."""
+    """What a connection does to lines: probabilities that one is lost, late (by 0.2 s), doubled or
+    damaged.
+    """
 
     loss: float = 0.0
     late: float = 0.0
@@ -34,7 +38,12 @@ class Channel:
 
     def push(self, line, now):
         faults = self._faults
-        lost, late, double, damaged = self._random.random(4) < (faults.loss, faults.late, faults.double, faults.damage)
+        lost, late, double, damaged = self._random.random(4) < (
+            faults.loss,
+            faults.late,
+            faults.double,
+            faults.damage,
+        )
         if lost:
             return
         if damaged:
@@ -63,7 +72,9 @@ class Wire:
         self.emulator, self.is_cut, self.sent, self.true = emulator, False, [], []
         self.before = 0.0
         _, _, *ways = np.random.SeedSequence(seed).spawn(4)
-        self._down, self._up = (Channel(faults or Faults(), np.random.default_rng(way)) for way in ways)
+        self._down, self._up = (
+            Channel(faults or Faults(), np.random.default_rng(way)) for way in ways
+        )
 
     def clock(self):
         return self.before + self.emulator.time
@@ -92,7 +103,9 @@ class Wire:
         pass
 
 
-def session_with(wire, *, name="consistent", policy=None, watch=lambda _: None, obey=lambda _: None):
+def session_with(
+    wire, *, name="consistent", policy=None, watch=lambda _: None, obey=lambda _: None
+):
     """A session with the robot at the end of a wire, after its hello."""
     link = Link(wire, wire.clock)
     hello = link.first_hello(30.0)
@@ -102,8 +115,17 @@ def session_with(wire, *, name="consistent", policy=None, watch=lambda _: None, 
 
 
 def start_emulator(*options):
-    """An emulator in a process of its own, as fast as its host answers. The process, and the name of its port."""
-    command = [sys.executable, "-m", "limslam_agent.live.emulator", "--speed", "0", *map(str, options)]
+    """An emulator in a process of its own, as fast as its host answers. The process, and the name
+    of its port.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "limslam_agent.live.emulator",
+        "--speed",
+        "0",
+        *map(str, options),
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     return process, process.stdout.readline().strip()
 

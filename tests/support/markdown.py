@@ -1,4 +1,6 @@
-"""What tests of the documentation share: the fenced blocks, the links and the headings of Markdown pages."""
+"""What tests of the documentation share: the fenced blocks, the links and the headings of Markdown
+pages.
+"""
 
 import re
 import shlex
@@ -12,7 +14,9 @@ _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 
 
 def pages() -> list[Path]:
-    """The pages that users read. CONTRIBUTING.md and RESULTS.md are absent where only a wheel is tested."""
+    """The pages that users read. CONTRIBUTING.md and RESULTS.md are absent where only a wheel is
+    tested.
+    """
     beside = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "RESULTS.md"]
     return [page for page in [*beside, *sorted((ROOT / "docs").rglob("*.md"))] if page.is_file()]
 
@@ -24,7 +28,9 @@ def name_of(page: Path) -> str:
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its page, the line of the page on which its text begins, its language, its text."""
+    """A fenced block: its page, the line of the page on which its text begins, its language, its
+    text.
+    """
 
     page: str
     line: int
@@ -54,7 +60,9 @@ def all_blocks(*languages: str) -> list[Block]:
 
     Directives of Sphinx are no blocks: building the site checks them.
     """
-    found = [block for page in pages() for block in blocks(page) if not block.language.startswith("{")]
+    found = [
+        block for page in pages() for block in blocks(page) if not block.language.startswith("{")
+    ]
     return [block for block in found if not languages or block.language in languages]
 
 
@@ -70,7 +78,11 @@ def code_spans(page: Path) -> list[str]:
 
 def links(page: Path) -> list[str]:
     """The targets of links and pictures that do not lead to another site."""
-    return [target for target in _LINK.findall(prose(page)) if "://" not in target and not target.startswith("mailto:")]
+    return [
+        target
+        for target in _LINK.findall(prose(page))
+        if "://" not in target and not target.startswith("mailto:")
+    ]
 
 
 def anchors(page: Path) -> set[str]:
@@ -87,7 +99,9 @@ def anchors(page: Path) -> set[str]:
 
 
 def commands(text: str) -> list[list[str]]:
-    """The commands of a shell block as words, without comments and without settings of environment variables."""
+    """The commands of a shell block as words, without comments and without settings of environment
+    variables.
+    """
     lines = text.replace("\\\n", " ").splitlines()
     found = []
     for line in lines:

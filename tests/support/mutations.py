@@ -1,7 +1,8 @@
 """Mutations of the source, drawn at random, and which of them the tests notice.
 
-``python tests/support/mutations.py limslam_env/geometry --number 10 --seed 1`` changes ten places of these files, one
-after the other, in a copy of the checkout, and runs the tests that belong to them until the first one fails.
+``python tests/support/mutations.py limslam_env/geometry --number 10 --seed 1`` changes ten places
+of these files, one after the other, in a copy of the checkout, and runs the tests that belong to
+them until the first one fails.
 """
 
 import argparse
@@ -19,9 +20,17 @@ import numpy as np
 
 ROOT = Path(__file__).parents[2]
 COMPARISONS = {
-    ast.Lt: ast.Gt, ast.Gt: ast.Lt, ast.LtE: ast.GtE, ast.GtE: ast.LtE, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
-    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
-}  # fmt: skip
+    ast.Lt: ast.Gt,
+    ast.Gt: ast.Lt,
+    ast.LtE: ast.GtE,
+    ast.GtE: ast.LtE,
+    ast.Eq: ast.NotEq,
+    ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot,
+    ast.IsNot: ast.Is,
+    ast.In: ast.NotIn,
+    ast.NotIn: ast.In,
+}
 SIGNS = {ast.Add: ast.Sub, ast.Sub: ast.Add}
 LONGEST_S = 900
 NOT_CODE = {"annotation", "returns", "decorator_list", "type_params"}
@@ -36,13 +45,19 @@ class Mutation:
     changed: ast.expr
 
     def __str__(self) -> str:
-        return f"{self.file}:{self.node.lineno}: {ast.unparse(self.node)}  ->  {ast.unparse(self.changed)}"
+        return (
+            f"{self.file}:{self.node.lineno}: {ast.unparse(self.node)}  ->  "
+            f"{ast.unparse(self.changed)}"
+        )
 
     def applied(self) -> str:
         """The text of the file with the mutation."""
         lines = (ROOT / self.file).read_bytes().splitlines(keepends=True)
         first, last = self.node.lineno - 1, self.node.end_lineno - 1
-        before, after = lines[first][: self.node.col_offset], lines[last][self.node.end_col_offset :]
+        before, after = (
+            lines[first][: self.node.col_offset],
+            lines[last][self.node.end_col_offset :],
+        )
         lines[first : last + 1] = [before, f"({ast.unparse(self.changed)})".encode(), after]
         return b"".join(lines).decode()
 
@@ -50,7 +65,9 @@ class Mutation:
 def mutations(file: Path) -> list[Mutation]:
     """All mutations of a file that is given relative to the root."""
     tree = ast.parse((ROOT / file).read_bytes())
-    return [Mutation(file, node, changed) for node in _expressions(tree) for changed in _changed(node)]
+    return [
+        Mutation(file, node, changed) for node in _expressions(tree) for changed in _changed(node)
+    ]
 
 
 def _expressions(node: ast.AST) -> Iterator[ast.expr]:
@@ -66,7 +83,9 @@ def _expressions(node: ast.AST) -> Iterator[ast.expr]:
 
 
 def _changed(node: ast.expr) -> Iterator[ast.expr]:
-    """What can stand in place of an expression: another sign, order, condition, comparison or constant."""
+    """What can stand in place of an expression: another sign, order, condition, comparison or
+    constant.
+    """
     match node:
         case ast.BinOp(left, operator, right) if type(operator) in SIGNS:
             yield ast.BinOp(left, SIGNS[type(operator)](), right)
@@ -102,7 +121,9 @@ def _other(value: float) -> float:
 
 
 def tests_of(file: Path) -> str:
-    """The tests of a file: the file or the nearest folder of the same name, relative to the root."""
+    """The tests of a file: the file or the nearest folder of the same name, relative to the
+    root.
+    """
     package, *folders = file.with_suffix("").parts
     mirrored = Path("tests", package.removeprefix("limslam_"), *folders)
     if (ROOT / (own := mirrored.with_name(f"test_{mirrored.name}.py"))).exists():
@@ -111,9 +132,15 @@ def tests_of(file: Path) -> str:
 
 
 def _passes(checkout: Path, tests: list[str]) -> bool:
-    """Whether tests pass in a copy of the checkout. Tests that do not end have noticed something, too."""
+    """Whether tests pass in a copy of the checkout. Tests that do not end have noticed something,
+    too.
+    """
     command = [sys.executable, "-m", "pytest", "-x", "-n0", "-p", "no:cacheprovider", *tests]
-    settings = {"cwd": checkout, "env": {**os.environ, "PYTHONPATH": str(checkout)}, "timeout": LONGEST_S}
+    settings = {
+        "cwd": checkout,
+        "env": {**os.environ, "PYTHONPATH": str(checkout)},
+        "timeout": LONGEST_S,
+    }
     try:
         return subprocess.run(command, **settings, capture_output=True, check=False).returncode == 0
     except subprocess.TimeoutExpired:
@@ -123,14 +150,23 @@ def _passes(checkout: Path, tests: list[str]) -> bool:
 def main() -> int:
     """Print each mutation with what the tests did, and return how many survived."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("paths", nargs="+", type=Path, help="files or folders of the source, relative to the root")
+    parser.add_argument(
+        "paths", nargs="+", type=Path, help="files or folders of the source, relative to the root"
+    )
     parser.add_argument("--number", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--tests", nargs="+", help="tests to run; left out, those in the folder of the same name")
+    parser.add_argument(
+        "--tests", nargs="+", help="tests to run; left out, those in the folder of the same name"
+    )
     options = parser.parse_args()
-    files = sorted(file for path in options.paths for file in ([path] if path.suffix else path.rglob("*.py")))
+    files = sorted(
+        file for path in options.paths for file in ([path] if path.suffix else path.rglob("*.py"))
+    )
     found = [mutation for file in files for mutation in mutations(file)]
-    drawn = [found[i] for i in np.random.default_rng(options.seed).permutation(len(found))[: options.number]]
+    drawn = [
+        found[i]
+        for i in np.random.default_rng(options.seed).permutation(len(found))[: options.number]
+    ]
     survived = []
     with tempfile.TemporaryDirectory() as folder:
         checkout = Path(folder, "checkout")

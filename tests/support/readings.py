@@ -1,4 +1,6 @@
-"""Readings of clones with the numbers that tests know them by, and the filter's operations on them."""
+"""Readings of clones with the numbers that tests know them by, and the filter's operations on
+them.
+"""
 
 import math
 from typing import NamedTuple
@@ -13,7 +15,9 @@ from limslam_env.geometry import FloatArray, IntArray
 
 
 class Readings(NamedTuple):
-    """Clones (n,), where beams begin (n, 2), their directions and ranges (n,), and step and beam of each (n, 2)."""
+    """Clones (n,), where beams begin (n, 2), their directions and ranges (n,), and step and beam of
+    each (n, 2).
+    """
 
     clones: IntArray
     origins: FloatArray
@@ -25,22 +29,31 @@ class Readings(NamedTuple):
 
     def select(self, chosen: IntArray) -> "Readings":
         return Readings(
-            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen],
-            self.growth, self.cone,
-        )  # fmt: skip
+            self.clones[chosen],
+            self.origins[chosen],
+            self.angles[chosen],
+            self.ranges[chosen],
+            self.sources[chosen],
+            self.growth,
+            self.cone,
+        )
 
     @property
     def rows(self) -> FloatArray:
         """The readings (n, 6) as the filter takes them."""
         cones = np.full(len(self.ranges), self.cone)
-        return np.column_stack((self.origins, self.angles, self.ranges, cones, self.sources[:, 1])).astype(float)
+        return np.column_stack(
+            (self.origins, self.angles, self.ranges, cones, self.sources[:, 1])
+        ).astype(float)
 
     def variances(self, std: float) -> FloatArray:
         return np.asarray(std**2 + (self.growth * self.ranges**2) ** 2)
 
 
 class Expected(NamedTuple):
-    """Ranges (n,), their derivatives by pose (n, 3) and line (n, 2), and cosines between beam and normal (n,)."""
+    """Ranges (n,), their derivatives by pose (n, 3) and line (n, 2), and cosines between beam and
+    normal (n,).
+    """
 
     ranges: FloatArray
     by_pose: FloatArray
@@ -48,17 +61,27 @@ class Expected(NamedTuple):
     cosines: FloatArray
 
 
-def expected_rows(poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray) -> FloatArray:
+def expected_rows(
+    poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
+) -> FloatArray:
     """What the kernel says of ranges from a pose each (n, 7)."""
     found, places = np.empty((len(poses), 7)), np.arange(len(poses))
     predict_ranges(
-        np.ascontiguousarray(poses, dtype=float).ravel(), 0, places, readings.rows, places,
-        (float(line[0]), float(line[1])), (float(anchor[0]), float(anchor[1])), found,
-    )  # fmt: skip
+        np.ascontiguousarray(poses, dtype=float).ravel(),
+        0,
+        places,
+        readings.rows,
+        places,
+        (float(line[0]), float(line[1])),
+        (float(anchor[0]), float(anchor[1])),
+        found,
+    )
     return found
 
 
-def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray) -> Expected:
+def expected_ranges(
+    poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
+) -> Expected:
     rows = expected_rows(poses, readings, line, anchor)
     return Expected(rows[:, 0], rows[:, 1:4], rows[:, 4:6], rows[:, 6])
 
@@ -68,10 +91,12 @@ def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
     headings = poses[:, 2] + readings.angles
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = readings.origins.T
-    return np.column_stack((
-        poses[:, 0] + cos * x - sin * y + readings.ranges * np.cos(headings),
-        poses[:, 1] + sin * x + cos * y + readings.ranges * np.sin(headings),
-    ))  # fmt: skip
+    return np.column_stack(
+        (
+            poses[:, 0] + cos * x - sin * y + readings.ranges * np.cos(headings),
+            poses[:, 1] + sin * x + cos * y + readings.ranges * np.sin(headings),
+        )
+    )
 
 
 def columns_of(ekf: CloneEKF, clones: IntArray) -> IntArray:
@@ -94,10 +119,14 @@ def keep_clones(ekf: CloneEKF, wanted: set[int]) -> None:
 
 
 def points_of(ekf: CloneEKF, readings: Readings, theta: float = math.nan) -> FloatArray:
-    return clone_filter.end_points(ekf.arrays, places_of(ekf.arrays, readings.clones), readings.rows, theta)
+    return clone_filter.end_points(
+        ekf.arrays, places_of(ekf.arrays, readings.clones), readings.rows, theta
+    )
 
 
-def observe(ekf: CloneEKF, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
+def observe(
+    ekf: CloneEKF, readings: Readings, index: int, std: float, iterations: int, huber: float
+) -> None:
     places, variances = places_of(ekf.arrays, readings.clones), readings.variances(std)
     clone_filter.observe(ekf.arrays, places, readings.rows, index, variances, iterations, huber)
 

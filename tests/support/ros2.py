@@ -1,4 +1,6 @@
-"""ROS 2 for tests: a domain of their own, processes in it, and a player of bags that runs as a program."""
+"""ROS 2 for tests: a domain of their own, processes in it, and a player of bags that runs as a
+program.
+"""
 
 import contextlib
 import os
@@ -13,7 +15,9 @@ PACE = 5.0
 
 
 def environment():
-    """The environment of processes on this computer that find each other, in a domain of their own."""
+    """The environment of processes on this computer that find each other, in a domain of their
+    own.
+    """
     domain = str(1 + os.getpid() % 100)
     return {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", "ROS_DOMAIN_ID": domain}
 
@@ -21,7 +25,9 @@ def environment():
 def start(*words):
     """A Python program in a process of its own."""
     command = [sys.executable, *map(str, words)]
-    return subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return subprocess.Popen(
+        command, env=environment(), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
 
 
 class Listener:
@@ -40,9 +46,13 @@ class Listener:
         self.node = rclpy.create_node("listener", context=self._context)
         self.heard = {topic: [] for topic in topics}
         for topic, kind in topics.items():
-            durability = DurabilityPolicy.TRANSIENT_LOCAL if topic in is_kept else DurabilityPolicy.VOLATILE
+            durability = (
+                DurabilityPolicy.TRANSIENT_LOCAL if topic in is_kept else DurabilityPolicy.VOLATILE
+            )
             quality = QoSProfile(depth=100, durability=durability)
-            self.node.create_subscription(message_type(kind), topic, self.heard[topic].append, quality)
+            self.node.create_subscription(
+                message_type(kind), topic, self.heard[topic].append, quality
+            )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
 
@@ -75,7 +85,9 @@ def wait_for(condition, process=None, seconds=60.0):
 
 
 def converted(content, kind):
-    """A message of a bag as one of rclpy, whose types may have more fields than those that the bag was written with."""
+    """A message of a bag as one of rclpy, whose types may have more fields than those that the bag
+    was written with.
+    """
     message = kind()
     for name in kind.get_fields_and_field_types():
         value = getattr(content, name, None)
@@ -97,9 +109,13 @@ def play(bag, pace):
     node = rclpy.create_node("player")
     publishers = {}
     with AnyReader([Path(bag)]) as reader:
-        connections = [each for each in reader.connections if each.topic == "/odom" or "/beam" in each.topic]
+        connections = [
+            each for each in reader.connections if each.topic == "/odom" or "/beam" in each.topic
+        ]
         for each in connections:
-            publishers[each.topic] = node.create_publisher(message_type(each.msgtype), each.topic, 10)
+            publishers[each.topic] = node.create_publisher(
+                message_type(each.msgtype), each.topic, 10
+            )
         while not all(publisher.get_subscription_count() for publisher in publishers.values()):
             time.sleep(0.05)
         time.sleep(0.5)  # the subscribers find the publishers, too
@@ -108,7 +124,9 @@ def play(bag, pace):
             first = nanoseconds if first is None else first
             time.sleep(max(0.0, 1e-9 * (nanoseconds - first) / pace - (time.monotonic() - begin)))
             content = reader.deserialize(raw, connection.msgtype)
-            publishers[connection.topic].publish(converted(content, message_type(connection.msgtype)))
+            publishers[connection.topic].publish(
+                converted(content, message_type(connection.msgtype))
+            )
     time.sleep(0.5)  # what has been published leaves the process
     rclpy.shutdown()
 

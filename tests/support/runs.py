@@ -76,7 +76,9 @@ def write_run(
     config: dict[str, Any] | None = None,
     metrics: dict[str, Any] | None = None,
 ) -> Path:
-    """A small finished run that was made by hand: 30 poses a robot, each ``offset`` (m, rad) off."""
+    """A small finished run that was made by hand: 30 poses a robot, each ``offset`` (m, rad)
+    off.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     time, turns = 0.1 * np.arange(30), np.linspace(0.0, 3.0, 30)
     poses = np.column_stack((1.0 + np.cos(turns), 1.0 + np.sin(turns), turns + 1.5))
@@ -86,10 +88,22 @@ def write_run(
         if truth:
             write_poses(folder / f"trajectory_true{suffix}.tum", time, poses)
     walls = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]]
-    (folder / "map.json").write_text(json.dumps({"frame": "world", "segments": walls, "landmarks": []}))
+    (folder / "map.json").write_text(
+        json.dumps({"frame": "world", "segments": walls, "landmarks": []})
+    )
     config = {"world": "hall", "noise": 0.02, "preset": "paper"} if config is None else config
-    metrics = {"stop_reason": "explored: no frontier is left", "ate_m": offset} if metrics is None else metrics
-    result = {"metrics": metrics, "cost": {"speed_x_real_time": 80.0}, "config": config, "seed": 3, "versions": {}}
+    metrics = (
+        {"stop_reason": "explored: no frontier is left", "ate_m": offset}
+        if metrics is None
+        else metrics
+    )
+    result = {
+        "metrics": metrics,
+        "cost": {"speed_x_real_time": 80.0},
+        "config": config,
+        "seed": 3,
+        "versions": {},
+    }
     (folder / "result.json").write_text(json.dumps(result))
     (folder / "map.png").write_bytes(b"")
     return folder

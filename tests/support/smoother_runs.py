@@ -1,4 +1,6 @@
-"""Drives round a room for tests of the smoother: problems with the true poses and the true wall of each reading."""
+"""Drives round a room for tests of the smoother: problems with the true poses and the true wall of
+each reading.
+"""
 
 import numpy as np
 from support.drives import ROBOT, along, drive, ranges_at, room
@@ -13,13 +15,19 @@ WHEEL_VARIANCE = 2e-5
 
 
 def noisy_drive(seed, noise=0.02, mismatch=0.0, robots=1, walls=WALLS, places=ROUND):
-    """A drive round a room: wheel travel (t, n, 2) and ranges (t, n, n_beams) with noise, and true poses (n, t, 3)."""
+    """A drive round a room: wheel travel (t, n, 2) and ranges (t, n, n_beams) with noise, and true
+    poses (n, t, 3).
+    """
     generator = np.random.default_rng(seed)
     wheels, ranges, poses = [], [], []
     for _ in range(robots):
-        observations, true = drive(walls, START, along(places), noise=noise, seed=int(generator.integers(1 << 30)))
+        observations, true = drive(
+            walls, START, along(places), noise=noise, seed=int(generator.integers(1 << 30))
+        )
         travel = np.array([each["wheels"] for each in observations], dtype=float)
-        reported = travel + np.sqrt(WHEEL_VARIANCE * np.abs(travel)) * generator.standard_normal(travel.shape)
+        reported = travel + np.sqrt(WHEEL_VARIANCE * np.abs(travel)) * generator.standard_normal(
+            travel.shape
+        )
         wheels.append(reported * np.array([1.0 + mismatch, 1.0 - mismatch]))
         ranges.append([each["ranges"] for each in observations])
         poses.append(true)
@@ -27,16 +35,23 @@ def noisy_drive(seed, noise=0.02, mismatch=0.0, robots=1, walls=WALLS, places=RO
 
 
 def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS, places=ROUND):
-    """The problem of a drive round a room that is reported with noise, and the true poses (n, t, 3)."""
+    """The problem of a drive round a room that is reported with noise, and the true poses (n, t,
+    3).
+    """
     wheels, ranges, poses = noisy_drive(seed, noise, mismatch, robots, walls, places)
     starts = np.tile(START, (robots, 1))
-    return make_problem(ROBOT, NominalNoise(noise, WHEEL_VARIANCE), starts, wheels, ranges, prior=prior), poses
+    return make_problem(
+        ROBOT, NominalNoise(noise, WHEEL_VARIANCE), starts, wheels, ranges, prior=prior
+    ), poses
 
 
 def true_labels(problem, poses, walls=WALLS):
     """The wall that each reading of a problem truly ended on."""
     flat = poses.reshape(-1, 3)
-    best, nearest = np.full((len(flat), len(ROBOT.beams)), -1), np.full((len(flat), len(ROBOT.beams)), np.inf)
+    best, nearest = (
+        np.full((len(flat), len(ROBOT.beams)), -1),
+        np.full((len(flat), len(ROBOT.beams)), np.inf),
+    )
     for number, wall in enumerate(walls):
         reach = np.array([ranges_at(pose, wall[None]) for pose in flat])
         is_nearer = (reach < ROBOT.too_far) & (reach < nearest)
@@ -50,6 +65,8 @@ def position_error(state, poses):
 
 
 def state_from_motions(problem):
-    """The state without lines that follows from the reported wheel travel, and from where robots were carried."""
+    """The state without lines that follows from the reported wheel travel, and from where robots
+    were carried.
+    """
     nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration
     return moved(problem, problem.motions(calibration), nothing, nothing, calibration)

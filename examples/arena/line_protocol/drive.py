@@ -1,6 +1,7 @@
 """An entry of the arena as a command. It needs no library, and could be written in any language.
 
-The robot's lines come from standard input, and the answers go to standard output: the line protocol of docs/live.md.
+The robot's lines come from standard input, and the answers go to standard output: the line protocol
+of docs/live.md.
 """
 
 import binascii
@@ -26,7 +27,10 @@ def main() -> None:
             say("Q", 1, sent)  # greet the robot: protocol 1
         if letter != "S":
             continue
-        number, ranges = int(fields[0]), [int(word) if word != "-" else NOTHING_SEEN for word in fields[6:]]
+        number, ranges = (
+            int(fields[0]),
+            [int(word) if word != "-" else NOTHING_SEEN for word in fields[6:]],
+        )
         sent += 1
         if number >= LONGEST:
             say("X", sent)

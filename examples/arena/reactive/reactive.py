@@ -1,4 +1,6 @@
-"""An entry of the arena in Python: an actor, which gets the readings of its robot and answers with wheel speeds."""
+"""An entry of the arena in Python: an actor, which gets the readings of its robot and answers with
+wheel speeds.
+"""
 
 import numpy as np
 
@@ -8,7 +10,8 @@ from limslam_env import Observation, RobotSpec
 class Reactive:
     """Drive ahead, and turn to the side with more space in front of a wall.
 
-    The arena offers ``robot`` (body and beams) and ``seed`` (a random generator); both may be left out.
+    The arena offers ``robot`` (body and beams) and ``seed`` (a random generator); both may be left
+    out.
     """
 
     def __init__(self, robot: RobotSpec, seed: np.random.Generator) -> None:

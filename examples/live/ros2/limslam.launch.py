@@ -7,7 +7,13 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, ExecuteProcess
 from launch.substitutions import LaunchConfiguration
 
-ARGUMENTS = {"robot": "paper", "out": "my_room", "noise": "0.02", "scan": "scan", "cmd_vel": "cmd_vel"}
+ARGUMENTS = {
+    "robot": "paper",
+    "out": "my_room",
+    "noise": "0.02",
+    "scan": "scan",
+    "cmd_vel": "cmd_vel",
+}
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -15,7 +21,17 @@ def generate_launch_description() -> LaunchDescription:
     given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
     node = ExecuteProcess(
         cmd=[
-            *("limslam", "live", "--ros2", "--robot", given["robot"], "--noise", given["noise"], "--out", given["out"]),
+            *(
+                "limslam",
+                "live",
+                "--ros2",
+                "--robot",
+                given["robot"],
+                "--noise",
+                given["noise"],
+                "--out",
+                given["out"],
+            ),
             *("--", "--ros-args"),
             *("-r", ["scan:=", given["scan"]], "-r", ["cmd_vel:=", given["cmd_vel"]]),
             *("-p", "return_to_init:=true"),
@@ -26,5 +42,11 @@ def generate_launch_description() -> LaunchDescription:
         sigkill_timeout="60",
     )
     return LaunchDescription(
-        [*(DeclareLaunchArgument(name, default_value=value) for name, value in ARGUMENTS.items()), node]
+        [
+            *(
+                DeclareLaunchArgument(name, default_value=value)
+                for name, value in ARGUMENTS.items()
+            ),
+            node,
+        ]
     )

@@ -1,4 +1,6 @@
-"""``python -m limslam_agent.live.emulator``: a simulated robot behind a serial port, UDP or topics of ROS 2."""
+"""``python -m limslam_agent.live.emulator``: a simulated robot behind a serial port, UDP or topics
+of ROS 2.
+"""
 
 import os
 import select
@@ -27,20 +29,36 @@ app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 @app.command()
 def emulate(
     udp: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Send to this UDP port of the host.", show_default=False)
+        int | None,
+        typer.Option(
+            min=1, max=65535, help="Send to this UDP port of the host.", show_default=False
+        ),
     ] = None,
     host: Annotated[str, typer.Option(help="Address of the host.")] = "127.0.0.1",
     *,
-    pty: Annotated[bool, typer.Option("--pty", help="Make a serial port, and print its name.")] = False,
-    ros2: Annotated[bool, typer.Option("--ros2", help="Publish odom and a topic beam_N for each beam.")] = False,
-    world: Annotated[str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")] = "env1",
-    robot: Annotated[str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")] = "paper",
+    pty: Annotated[
+        bool, typer.Option("--pty", help="Make a serial port, and print its name.")
+    ] = False,
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="Publish odom and a topic beam_N for each beam.")
+    ] = False,
+    world: Annotated[
+        str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")
+    ] = "env1",
+    robot: Annotated[
+        str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")
+    ] = "paper",
     noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
-    watchdog: Annotated[int, typer.Option(help="Time without a line after which the wheels stop, ms.")] = 500,
-    speed: Annotated[float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")] = 1.0,
+    watchdog: Annotated[
+        int, typer.Option(help="Time without a line after which the wheels stop, ms.")
+    ] = 500,
+    speed: Annotated[
+        float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")
+    ] = 1.0,
     truth: Annotated[
-        Path | None, typer.Option(help="File for the true poses, lines of t x y heading.", show_default=False)
+        Path | None,
+        typer.Option(help="File for the true poses, lines of t x y heading.", show_default=False),
     ] = None,
 ) -> None:
     """Emulate a robot until the process is ended."""
@@ -80,7 +98,9 @@ class UdpPort:
 
     def receive(self, timeout: float) -> list[bytes]:
         """The lines of all datagrams that have arrived."""
-        return [line for data, _ in datagrams(self._socket, timeout) for line in LineBuffer().add(data)]
+        return [
+            line for data, _ in datagrams(self._socket, timeout) for line in LineBuffer().add(data)
+        ]
 
     def send(self, line: bytes) -> None:
         """Send a line to the host."""
@@ -89,8 +109,8 @@ class UdpPort:
 
 
 class PtyPort:
-    """A serial port of the operating system, which a program opens by its name like any other. Not on Windows. Raises a
-    ValueError if the operating system has no such ports.
+    """A serial port of the operating system, which a program opens by its name like any other. Not
+    on Windows. Raises a ValueError if the operating system has no such ports.
     """
 
     def __init__(self) -> None:
@@ -119,7 +139,9 @@ class PtyPort:
 
 
 def run(emulator: "Emulator", port: UdpPort | PtyPort, pace: float, truth: IO[str] | None) -> None:
-    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer."""
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to
+    answer.
+    """
     from limslam_agent.live.emulator.emulator import ANSWER_WITHIN, LONELY_POLL
 
     due = time.monotonic()

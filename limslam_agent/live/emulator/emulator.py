@@ -64,20 +64,24 @@ class SimulatedRobot:
 
 
 class Emulator(SimulatedRobot):
-    """A simulated robot behind the line protocol. Each step is one control period. Raises a ValueError if the protocol
-    cannot describe the robot, or the robot cannot start in the world.
+    """A simulated robot behind the line protocol. Each step is one control period. Raises a
+    ValueError if the protocol cannot describe the robot, or the robot cannot start in the world.
     """
 
     def __init__(self, body: Body) -> None:
         robot = body.robot
         if len(robot.beams) > MAX_BEAMS:
-            raise ValueError(f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}")
+            raise ValueError(
+                f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}"
+            )
         super().__init__(body)
         _, boot = np.random.SeedSequence(body.seed).spawn(2)
         self._travel = np.zeros(2)
         period = round(1e3 * robot.control_period)
         number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
-        self.firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
+        self.firmware = Firmware(
+            Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms)
+        )
 
     def hear(self, line: bytes) -> None:
         """Take a line that the host has sent."""

@@ -1,4 +1,6 @@
-"""A simulated robot behind topics of ROS 2: ``odom``, a topic for each beam, ``cmd_vel`` and ``/clock``."""
+"""A simulated robot behind topics of ROS 2: ``odom``, a topic for each beam, ``cmd_vel`` and
+``/clock``.
+"""
 
 import math
 import time
@@ -16,7 +18,9 @@ _FRAMES = ("odom", "base_link")
 
 
 class Measured(NamedTuple):
-    """What the robot has measured: the time, s, its odometry (3,), its speeds (3,), and its ranges, m."""
+    """What the robot has measured: the time, s, its odometry (3,), its speeds (3,), and its ranges,
+    m.
+    """
 
     time: float
     odometry: FloatArray
@@ -25,8 +29,8 @@ class Measured(NamedTuple):
 
 
 class RosRobot(SimulatedRobot):
-    """A simulated robot that is driven by speeds, and integrates its own odometry. Its watchdog stops the wheels
-    without new speeds.
+    """A simulated robot that is driven by speeds, and integrates its own odometry. Its watchdog
+    stops the wheels without new speeds.
     """
 
     begins = 1.0  # a time of zero means that there is none
@@ -50,12 +54,17 @@ class RosRobot(SimulatedRobot):
         self.drive(*self._wheels)
         moved = arc(*wheels_to_arc(self.readings.wheels[0], self.robot.axle))
         self._odometry = compose(self._odometry, moved)
-        return Measured(self.time, self._odometry, moved / self.robot.control_period, self.readings.ranges[0].tolist())
+        return Measured(
+            self.time,
+            self._odometry,
+            moved / self.robot.control_period,
+            self.readings.ranges[0].tolist(),
+        )
 
 
 def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
-    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer. Raises a
-    ValueError if ROS 2 is not installed.
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to
+    answer. Raises a ValueError if ROS 2 is not installed.
     """
     check_installed()
     import rclpy
@@ -84,7 +93,9 @@ class Served:
         self._clock = publisher("rosgraph_msgs/msg/Clock", "/clock")
         self._odometry = publisher("nav_msgs/msg/Odometry", "odom")
         count = len(robot.robot.beams)
-        self._sensors = [publisher("sensor_msgs/msg/Range", f"beam_{number}") for number in range(count)]
+        self._sensors = [
+            publisher("sensor_msgs/msg/Range", f"beam_{number}") for number in range(count)
+        ]
 
     def run(self) -> None:
         """Emulate for ever. The robot stands still until somebody listens."""
@@ -109,7 +120,9 @@ class Served:
 
         now = time.monotonic()
         if not self._pace:
-            due = now + (ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else LONELY_POLL)
+            due = now + (
+                ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else LONELY_POLL
+            )
         while (left := due - time.monotonic()) > 0.0 and (self._pace or self._answers == before):
             rclpy.spin_once(self._node, timeout_sec=left)
 

@@ -8,7 +8,16 @@ from itertools import pairwise
 import numpy as np
 
 from limslam_agent.live.link import POLL, Connection, NoRobotError
-from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
+from limslam_agent.live.protocol import (
+    VERSION,
+    Command,
+    Heartbeat,
+    Hello,
+    Message,
+    Speeds,
+    Stop,
+    Telemetry,
+)
 from limslam_agent.live.recording import MM
 from limslam_agent.live.ros2.node import ODOMETRY, Event, Parameters, RosNode
 from limslam_agent.live.ros2.odometer import Measurement, Odometer, Sample
@@ -22,7 +31,8 @@ _FIRST = 5  # number of measurements that show the period
 
 
 class RosLink(Connection):
-    """Makes telemetry of the messages of ROS, and speeds of commands. No message says which command was obeyed.
+    """Makes telemetry of the messages of ROS, and speeds of commands. No message says which command
+    was obeyed.
 
     ``robot`` describes the robot, with the beams that are wanted.
 
@@ -35,14 +45,20 @@ class RosLink(Connection):
     """
 
     def __init__(
-        self, ports: RosNode, robot: RobotSpec, parameters: Parameters, clock: Callable[[], float] = time.monotonic
+        self,
+        ports: RosNode,
+        robot: RobotSpec,
+        parameters: Parameters,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(clock)
         self.newest: Sample | None = None
         self.frames = ("odom", "base_link")
         self._ports, self._robot, self._parameters = ports, robot, parameters
         self._sensors: RangeSensors | ScanSensors = (
-            RangeSensors(robot, parameters.period) if parameters.range_topics else ScanSensors(robot, parameters.mount)
+            RangeSensors(robot, parameters.period)
+            if parameters.range_topics
+            else ScanSensors(robot, parameters.mount)
         )
         self._odometer = Odometer(robot, parameters.period)
         self._row = self._stops = 0
@@ -62,12 +78,14 @@ class RosLink(Connection):
 
     @property
     def robot(self) -> RobotSpec:
-        """The robot, with the beams as the messages describe them. It is known after :meth:`first_hello`."""
+        """The robot, with the beams as the messages describe them. It is known after
+        :meth:`first_hello`.
+        """
         return self._sensors.robot or self._robot
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait until sensors and odometry have shown the period. Raises a NoRobotError if that takes more than
-        ``patience`` s.
+        """Wait until sensors and odometry have shown the period. Raises a NoRobotError if that
+        takes more than ``patience`` s.
         """
         begin, found = self.clock(), list[Measurement]()
         while len(found) < _FIRST or self._sensors.robot is None:
@@ -76,7 +94,9 @@ class RosLink(Connection):
             for event in self._ports.take(POLL):
                 found += self._taken(event)
         steps = [after.sample.time - before.sample.time for before, after in pairwise(found)]
-        period, watchdog = (max(1, round(1e3 * each)) for each in (np.median(steps), self._parameters.watchdog))
+        period, watchdog = (
+            max(1, round(1e3 * each)) for each in (np.median(steps), self._parameters.watchdog)
+        )
         self._hello = Hello(VERSION, 0, "ros2", len(self.robot.beams), 1000, period, watchdog)
         self._ready = [self._telemetry(each) for each in found]
         return self._hello
@@ -109,7 +129,10 @@ class RosLink(Connection):
         self._heard.add(event.number)
         try:
             if event.number == ODOMETRY:
-                self.frames = (event.message.header.frame_id or "odom", event.message.child_frame_id or "base_link")
+                self.frames = (
+                    event.message.header.frame_id or "odom",
+                    event.message.child_frame_id or "base_link",
+                )
                 return self._odometer.add_pose(event.time, np.array(pose_of(event.message)))
             readings = self._sensors.add(event.number, event.time, event.message)
         except ValueError as error:
@@ -123,7 +146,9 @@ class RosLink(Connection):
         self._row += 1
         left, right = (round(travel / _MICROMETRE) for travel in (sample.left, sample.right))
         stopped = int(self._ports.watchdog_stops > self._stops)
-        return Telemetry(self._row, round(1e3 * sample.time), left, right, 0, stopped, measurement.ranges)
+        return Telemetry(
+            self._row, round(1e3 * sample.time), left, right, 0, stopped, measurement.ranges
+        )
 
     def _missing(self, found: list[Measurement]) -> str:
         """What has not been heard, in words."""
@@ -133,4 +158,7 @@ class RosLink(Connection):
             return f"there was no message on {', '.join(silent)}"
         if self._trouble:
             return f"no message could be used: {self._trouble}"
-        return f"the times of sensors and odometry gave {len(found)} measurements: are both stamped by the same clock?"
+        return (
+            f"the times of sensors and odometry gave {len(found)} measurements: are both stamped "
+            "by the same clock?"
+        )

@@ -1,4 +1,6 @@
-"""The node of rclpy: its parameters, its topics, a thread that listens, and a watchdog that stops the wheels."""
+"""The node of rclpy: its parameters, its topics, a thread that listens, and a watchdog that stops
+the wheels.
+"""
 
 import importlib
 import math
@@ -21,7 +23,15 @@ from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-PACKAGES = ("rclpy", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "visualization_msgs")
+PACKAGES = (
+    "rclpy",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "nav_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "visualization_msgs",
+)
 """What a node needs of ROS 2. ``tf2_msgs`` is used where it is installed."""
 
 BEGIN = "--ros-args"
@@ -41,19 +51,23 @@ ODOMETRY = -1
 class Parameters(Bounded):
     """Parameters of the node, as users of ROS set them: ``-p NAME:=VALUE``."""
 
-    # A topic of Range messages for each beam of the robot, in the order of the beams. None: the topic ``scan`` has
-    # LaserScans.
+    # A topic of Range messages for each beam of the robot, in the order of the beams. None: the
+    # topic ``scan`` has LaserScans.
     range_topics: tuple[str, ...] = ()
     # Pose of the laser on the robot: x (m), y (m), heading (deg)
     scan_mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    period: _Time = 0.1  # Time between two measurements that are used, s. Faster sensors are thinned out.
+    period: _Time = (
+        0.1  # Time between two measurements that are used, s. Faster sensors are thinned out.
+    )
     # Time after the latest decision after which the wheels are stopped, s
     watchdog: Annotated[float, Bounds(0.05, 60.0)] = 0.5
     map_period: _Time = 1.0  # Time between two publications of the map, s
     # Names of the frames. Without a name, the frame is that of the odometry's messages.
     map_frame: str = "map"
     odom_frame: str = ""
-    transform_tolerance: _Time = 0.5  # By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s
+    transform_tolerance: _Time = (
+        0.5  # By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s
+    )
     publish_tf: bool = True  # Whether to publish this transform on ``/tf``
     # Whether to explore from the start. If not, the robot maps until ``explore/resume`` says true.
     explore: bool = True
@@ -62,11 +76,14 @@ class Parameters(Bounded):
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "Parameters":
-        """The parameters from the values of a node. Names that are missing keep their defaults. Raises a ValueError if
-        there is no such parameter, or a value cannot be used.
+        """The parameters from the values of a node. Names that are missing keep their defaults.
+        Raises a ValueError if there is no such parameter, or a value cannot be used.
         """
         # ROS has arrays of numbers where a file of settings has lists.
-        told = {name: list(value) if isinstance(value, array) else value for name, value in values.items()}
+        told = {
+            name: list(value) if isinstance(value, array) else value
+            for name, value in values.items()
+        }
         return updated(cls(), told, "the parameters of the node")
 
     @property
@@ -79,7 +96,8 @@ class Parameters(Bounded):
         """Raise a ValueError if there is not one topic of ranges for each beam."""
         if self.range_topics and len(self.range_topics) != len(robot.beams):
             raise ValueError(
-                f"range_topics has {len(self.range_topics)} topics, but the robot has {len(robot.beams)} beams"
+                f"range_topics has {len(self.range_topics)} topics, but the robot has "
+                f"{len(robot.beams)} beams"
             )
 
 
@@ -107,8 +125,9 @@ class Orders:
 
 
 class RosNode:
-    """A node of rclpy with the topics of a live robot. Its messages are taken by another thread than the one that
-    listens. ``watchdog_stops`` is the number of times that the watchdog has stopped the wheels.
+    """A node of rclpy with the topics of a live robot. Its messages are taken by another thread
+    than the one that listens. ``watchdog_stops`` is the number of times that the watchdog has
+    stopped the wheels.
     """
 
     def __init__(self, node: Any) -> None:
@@ -121,17 +140,25 @@ class RosNode:
         self._latest: Any = None
         self._subscribe()
         stamped = self.parameters.enable_stamped_cmd_vel
-        self._speeds = self.publisher(f"geometry_msgs/msg/Twist{'Stamped' if stamped else ''}", "cmd_vel", depth=1)
+        self._speeds = self.publisher(
+            f"geometry_msgs/msg/Twist{'Stamped' if stamped else ''}", "cmd_vel", depth=1
+        )
         from rclpy.clock import Clock, ClockType
 
         # The time of ROS may stand still. The watchdog's does not.
-        node.create_timer(0.2 * self.parameters.watchdog, self._watch, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(
+            0.2 * self.parameters.watchdog,
+            self._watch,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
 
     def take(self, timeout: float) -> list[Event]:
         """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
         events = list[Event]()
         try:
-            events.append(self._events.get(timeout=timeout) if timeout > 0.0 else self._events.get_nowait())
+            events.append(
+                self._events.get(timeout=timeout) if timeout > 0.0 else self._events.get_nowait()
+            )
             while True:
                 events.append(self._events.get_nowait())
         except queue.Empty:
@@ -142,7 +169,9 @@ class RosNode:
         return 1e-9 * float(self._node.get_clock().now().nanoseconds)
 
     def drive(self, speed: float, turn_rate: float) -> None:
-        """Publish speeds, m/s and rad/s. While paused, and after the order to stop, they are zero."""
+        """Publish speeds, m/s and rad/s. While paused, and after the order to stop, they are
+        zero.
+        """
         if self.orders.shall_stand:
             speed = turn_rate = 0.0
         with self._lock:
@@ -150,14 +179,22 @@ class RosNode:
             self._publish_speeds(self.build.twist(speed, 0.0, turn_rate))
 
     def hold(self) -> None:
-        """Publish the latest speeds again, unless the watchdog has stopped the wheels; or zero once, if so ordered."""
+        """Publish the latest speeds again, unless the watchdog has stopped the wheels; or zero
+        once, if so ordered.
+        """
         with self._lock:
             if self._is_moving:
                 self._is_moving = not self.orders.shall_stand
-                self._publish_speeds(self._latest if self._is_moving else self.build.twist(0.0, 0.0, 0.0))
+                self._publish_speeds(
+                    self._latest if self._is_moving else self.build.twist(0.0, 0.0, 0.0)
+                )
 
-    def publisher(self, kind: str, topic: str, *, depth: int = 10, is_kept: bool = False) -> Callable[[Any], None]:
-        """What publishes messages of a type on a topic, reliably. ``is_kept``: also to those who subscribe later."""
+    def publisher(
+        self, kind: str, topic: str, *, depth: int = 10, is_kept: bool = False
+    ) -> Callable[[Any], None]:
+        """What publishes messages of a type on a topic, reliably. ``is_kept``: also to those who
+        subscribe later.
+        """
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
         durability = DurabilityPolicy.TRANSIENT_LOCAL if is_kept else DurabilityPolicy.VOLATILE
@@ -174,10 +211,20 @@ class RosNode:
         quality = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         ranges = [("sensor_msgs/msg/Range", topic) for topic in self.parameters.range_topics]
         sensors = dict(enumerate(ranges or [("sensor_msgs/msg/LaserScan", "scan")]))
-        for number, (kind, topic) in (sensors | {ODOMETRY: ("nav_msgs/msg/Odometry", "odom")}).items():
-            self._node.create_subscription(message_type(kind), topic, self._listener(number), quality)
-        for topic, obey in (("resume", self._resume), ("stop", self._stop), ("return_home", self._return_home)):
-            self._node.create_subscription(message_type("std_msgs/msg/Bool"), f"explore/{topic}", obey, 10)
+        for number, (kind, topic) in (
+            sensors | {ODOMETRY: ("nav_msgs/msg/Odometry", "odom")}
+        ).items():
+            self._node.create_subscription(
+                message_type(kind), topic, self._listener(number), quality
+            )
+        for topic, obey in (
+            ("resume", self._resume),
+            ("stop", self._stop),
+            ("return_home", self._return_home),
+        ):
+            self._node.create_subscription(
+                message_type("std_msgs/msg/Bool"), f"explore/{topic}", obey, 10
+            )
 
     def _listener(self, number: int) -> Callable[[Any], None]:
         def hear(message: Any) -> None:
@@ -204,7 +251,9 @@ class RosNode:
         self._speeds(twist)
 
     def _watch(self) -> None:
-        """Stop the wheels if the latest decision is too old: a sensor is silent, or the host is busy."""
+        """Stop the wheels if the latest decision is too old: a sensor is silent, or the host is
+        busy.
+        """
         with self._lock:
             if self._is_moving and time.monotonic() - self._decided > self.parameters.watchdog:
                 self._is_moving = False
@@ -214,11 +263,13 @@ class RosNode:
 
 @contextmanager
 def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
-    """A node that listens in a thread of its own. The arguments begin with ``--ros-args`` if there are any. Raises a
-    ValueError if ROS 2 is not installed, or an argument cannot be used.
+    """A node that listens in a thread of its own. The arguments begin with ``--ros-args`` if there
+    are any. Raises a ValueError if ROS 2 is not installed, or an argument cannot be used.
     """
     if arguments and arguments[0] != BEGIN:
-        raise ValueError(f"what follows -- is for ROS 2 and begins with {BEGIN}, not with {arguments[0]}")
+        raise ValueError(
+            f"what follows -- is for ROS 2 and begins with {BEGIN}, not with {arguments[0]}"
+        )
     check_installed()
     try:
         import rclpy
@@ -227,10 +278,14 @@ def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
 
         context = rclpy.Context()
         # Ctrl-C stops the wheels first, as for every robot.
-        rclpy.init(args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            args=list(arguments), context=context, signal_handler_options=SignalHandlerOptions.NO
+        )
     except (ImportError, RuntimeError) as error:
         raise ValueError(f"ROS 2 cannot be started: {error}") from error
-    handle = rclpy.create_node("limslam", context=context, automatically_declare_parameters_from_overrides=True)
+    handle = rclpy.create_node(
+        "limslam", context=context, automatically_declare_parameters_from_overrides=True
+    )
     try:
         node = RosNode(handle)
     except BaseException:
@@ -290,10 +345,14 @@ def _plain(value: Any) -> Any:
 
 
 def _given(node: Any) -> dict[str, Any]:
-    """The parameters that were set, without those of rclpy itself. The others are declared with their defaults."""
+    """The parameters that were set, without those of rclpy itself. The others are declared with
+    their defaults.
+    """
     found = {name: each.value for name, each in node.get_parameters_by_prefix("").items()}
     for field in fields(Parameters):
         default: Any = field.default
         if field.name not in found and default != ():  # an empty list has no type
-            node.declare_parameter(field.name, list(default) if isinstance(default, tuple) else default)
+            node.declare_parameter(
+                field.name, list(default) if isinstance(default, tuple) else default
+            )
     return {name: value for name, value in found.items() if not name.startswith(_OF_RCLPY)}

@@ -36,18 +36,21 @@ class Measurement(NamedTuple):
 
 
 class Odometer:
-    """Sums the wheel travel between the poses of ``/odom``, and gives each reading the odometry of its own time.
+    """Sums the wheel travel between the poses of ``/odom``, and gives each reading the odometry of
+    its own time.
 
-    The travel between two poses is that of the arc that connects them, so lost messages lose no travel. A motion to the
-    side is left out, since wheels cannot make it. Readings wait until a later pose has arrived. Those that follow each
-    other faster than the period, s, are left out.
+    The travel between two poses is that of the arc that connects them, so lost messages lose no
+    travel. A motion to the side is left out, since wheels cannot make it. Readings wait until a
+    later pose has arrived. Those that follow each other faster than the period, s, are left out.
 
     Attributes
     ----------
     late
-        Number of messages that came after a later one, or twice, or that no odometry fits. They are not used.
+        Number of messages that came after a later one, or twice, or that no odometry fits. They are
+        not used.
     jumps
-        Number of times that the pose has jumped, as it does when a driver starts again. The travel of a jump is zero.
+        Number of times that the pose has jumped, as it does when a driver starts again. The travel
+        of a jump is zero.
     begun
         Number of times that the time has begun again.
     """
@@ -74,7 +77,9 @@ class Odometer:
             self.late += 1
             return []
         left, right = wheel_travel(between(last.pose, pose), self._robot.axle)
-        if max(abs(left), abs(right)) > TOO_FAST * self._robot.max_wheel_speed * (elapsed + self._robot.control_period):
+        if max(abs(left), abs(right)) > TOO_FAST * self._robot.max_wheel_speed * (
+            elapsed + self._robot.control_period
+        ):
             self.jumps += 1
             left = right = 0.0
         self._samples.append(Sample(time, last.left + left, last.right + right, pose))
@@ -90,7 +95,9 @@ class Odometer:
         return self._complete()
 
     def at(self, time: float) -> Sample | None:
-        """The odometry at a time, s, between two messages. None if there is none before, or none after."""
+        """The odometry at a time, s, between two messages. None if there is none before, or none
+        after.
+        """
         samples = self._samples
         if not samples or not samples[0].time <= time <= samples[-1].time:
             return None
@@ -101,7 +108,10 @@ class Odometer:
         _, _, turn = between(begin.pose, end.pose)
         towards = compose(begin.pose, np.array([0.0, 0.0, share * turn]))
         towards[:2] = begin.pose[:2] + share * (end.pose - begin.pose)[:2]
-        left, right = (first + share * (second - first) for first, second in zip(begin[1:3], end[1:3], strict=True))
+        left, right = (
+            first + share * (second - first)
+            for first, second in zip(begin[1:3], end[1:3], strict=True)
+        )
         return Sample(time, left, right, towards)
 
     def _complete(self) -> list[Measurement]:
@@ -117,14 +127,19 @@ class Odometer:
             self._last = reading.time
             complete.append(Measurement(sample, reading.ranges))
         if self._waiting:  # the odometry may be silent
-            self._waiting = [each for each in self._waiting if each.time >= self._waiting[-1].time - KEPT]
+            self._waiting = [
+                each for each in self._waiting if each.time >= self._waiting[-1].time - KEPT
+            ]
         return complete
 
 
 def wheel_travel(motion: FloatArray, axle: float) -> tuple[float, float]:
-    """Travel of the left and of the right wheel, m, along the arc of a motion (3,) in the robot's frame, m, m, rad."""
+    """Travel of the left and of the right wheel, m, along the arc of a motion (3,) in the robot's
+    frame, m, m, rad.
+    """
     turn = float(motion[2])
-    # A travel of 1 m with this turn ends here; the arc is as long as its projection on that direction says.
+    # A travel of 1 m with this turn ends here; the arc is as long as its projection on that
+    # direction says.
     end = arc(1.0, turn)[:2]
     distance = float(motion[:2] @ end / (end @ end))
     return distance - 0.5 * axle * turn, distance + 0.5 * axle * turn

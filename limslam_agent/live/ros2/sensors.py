@@ -9,13 +9,21 @@ import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, nearest_beams
-from limslam_agent.logs.ros_messages import beam_on_body, rotation_of, scan_angles, scan_readings, sensor_limits
+from limslam_agent.logs.ros_messages import (
+    beam_on_body,
+    rotation_of,
+    scan_angles,
+    scan_readings,
+    sensor_limits,
+)
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
 Ranges = tuple[int | None, ...]
-"""The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN`` where nothing is."""
+"""The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN``
+where nothing is.
+"""
 
 _TOGETHER = 0.75  # share of a period
 
@@ -30,8 +38,9 @@ class Reading(NamedTuple):
 class ScanSensors:
     """Picks the beams of a robot from LaserScans, by their directions.
 
-    The beams of the robot say which directions are wanted, and how far to look. They begin at the laser's pose (3,) on
-    the robot, m, m, rad. ``robot`` then has the beams as the messages describe them. It is None until there was a scan.
+    The beams of the robot say which directions are wanted, and how far to look. They begin at the
+    laser's pose (3,) on the robot, m, m, rad. ``robot`` then has the beams as the messages describe
+    them. It is None until there was a scan.
     """
 
     def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
@@ -41,7 +50,9 @@ class ScanSensors:
         self._columns: IntArray = np.zeros(0, dtype=np.int64)
 
     def add(self, number: int, time: float, message: Any) -> list[Reading]:
-        """The readings of a scan. Raises a ValueError if the scan has no beam in a wanted direction."""
+        """The readings of a scan. Raises a ValueError if the scan has no beam in a wanted
+        direction.
+        """
         del number
         if self.robot is None:
             self.robot = self._chosen(message)
@@ -72,10 +83,11 @@ class ScanSensors:
 class RangeSensors:
     """Collects the Range messages of several topics, one for each beam of a robot.
 
-    Messages belong together if their times lie within three quarters of a period. Readings are complete when each topic
-    has had its message, or when a message comes that does not belong to them. Beams without a message have no reading.
-    The time of the readings is the median of those of the messages. The robot's beams are in the order of the topics.
-    ``robot`` then has the beams as the messages describe them. It is None until each topic has had a message.
+    Messages belong together if their times lie within three quarters of a period. Readings are
+    complete when each topic has had its message, or when a message comes that does not belong to
+    them. Beams without a message have no reading. The time of the readings is the median of those
+    of the messages. The robot's beams are in the order of the topics. ``robot`` then has the beams
+    as the messages describe them. It is None until each topic has had a message.
     """
 
     def __init__(self, robot: RobotSpec, period: float) -> None:
@@ -106,7 +118,9 @@ class RangeSensors:
         low, high = _limits(*limits, wanted)
         self._beams[number] = replace(wanted, min_range=low, max_range=high)
         if len(self._beams) == len(self._wanted.beams):
-            self.robot = replace(self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams)))
+            self.robot = replace(
+                self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams))
+            )
 
     def _taken(self) -> list[Reading]:
         """The readings that were collected, which begin anew."""
@@ -119,9 +133,9 @@ class RangeSensors:
 def in_mm(readings: Sequence[float] | FloatArray, least: float, largest: float) -> Ranges:
     """Readings, m, of a sensor with a shortest and a longest range, m, as telemetry has them.
 
-    As in REP 117, infinity means that nothing was seen, minus infinity that something is too near, and NaN that there
-    is no reading. Readings outside of the sensor's limits mean the same as the infinities. Limits that are not set do
-    not count.
+    As in REP 117, infinity means that nothing was seen, minus infinity that something is too near,
+    and NaN that there is no reading. Readings outside of the sensor's limits mean the same as the
+    infinities. Limits that are not set do not count.
     """
     top = largest if largest > max(least, 0.0) else math.inf
     return tuple(_in_mm(float(each), least, top) for each in readings)

@@ -1,4 +1,6 @@
-"""Connects a session with the node: the connection, the policy, what is published, and the orders that it gets."""
+"""Connects a session with the node: the connection, the policy, what is published, and the orders
+that it gets.
+"""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -18,7 +20,11 @@ from limslam_env.interface import RobotSpec
 
 STOPPED = "stopped: a message on explore/stop"
 
-_LEVELS = {"ok": b"\x00", "unsure": b"\x01", "lost": b"\x02"}  # of DiagnosticStatus: OK, WARN, ERROR
+_LEVELS = {
+    "ok": b"\x00",
+    "unsure": b"\x01",
+    "lost": b"\x02",
+}  # of DiagnosticStatus: OK, WARN, ERROR
 
 
 class Outputs:
@@ -30,7 +36,9 @@ class Outputs:
         self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
         self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
         self._map = node.publisher("nav_msgs/msg/OccupancyGrid", "map", depth=1, is_kept=True)
-        self._walls = node.publisher("visualization_msgs/msg/MarkerArray", "walls", depth=1, is_kept=True)
+        self._walls = node.publisher(
+            "visualization_msgs/msg/MarkerArray", "walls", depth=1, is_kept=True
+        )
         self._status = node.publisher("diagnostic_msgs/msg/DiagnosticArray", "status")
         has_tf = node.parameters.publish_tf and find_spec("tf2_msgs") is not None
         self._tf = node.publisher("tf2_msgs/msg/TFMessage", "/tf", depth=100) if has_tf else None
@@ -60,7 +68,9 @@ class Outputs:
         shift = map_to_odom(pose, sample.pose)
         frame = names.odom_frame or self._link.frames[0]
         # Other nodes look for a transform at times after the measurement.
-        transform = build.transform(sample.time + names.transform_tolerance, names.map_frame, frame, shift)
+        transform = build.transform(
+            sample.time + names.transform_tolerance, names.map_frame, frame, shift
+        )
         self._transform(transform)
         if self._tf is not None:
             self._tf(build.make("tf2_msgs/msg/TFMessage", transforms=[transform]))
@@ -75,14 +85,25 @@ class Outputs:
     def _diagnosis(self, session: Session, at: float) -> Any:
         make, agent, figures = self._node.build.make, session.agent, session.figures
         told = {
-            "state": state_of(session), "walls": len(agent.slam.segments), **figures,
+            "state": state_of(session),
+            "walls": len(agent.slam.segments),
+            **figures,
             "odometry_jumps": self._link.jumps,
-        }  # fmt: skip
-        values = [make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value)) for key, value in told.items()]
+        }
+        values = [
+            make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
+            for key, value in told.items()
+        ]
         status = make(
-            "diagnostic_msgs/msg/DiagnosticStatus", level=_LEVELS[agent.status], name="limslam", hardware_id="",
-            message=f"{agent.status}: {agent.status_reason}" if agent.status_reason else agent.status, values=values,
-        )  # fmt: skip
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=_LEVELS[agent.status],
+            name="limslam",
+            hardware_id="",
+            message=f"{agent.status}: {agent.status_reason}"
+            if agent.status_reason
+            else agent.status,
+            values=values,
+        )
         header = self._node.build.header(at, self._node.parameters.map_frame)
         return make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
 
@@ -107,12 +128,16 @@ def state_of(session: Session) -> str:
 def wired_by_ros(described: RobotSpec | None, arguments: Sequence[str]) -> Iterator[Wired]:
     """A robot of ROS 2, until the context ends.
 
-    After the policy that was asked for, it drives home, where the parameters or an order say so. Raises a ValueError if
-    ROS 2 is not installed, the robot is not described, or an argument or a parameter cannot be used.
+    After the policy that was asked for, it drives home, where the parameters or an order say so.
+    Raises a ValueError if ROS 2 is not installed, the robot is not described, or an argument or a
+    parameter cannot be used.
     """
     check_installed()
     if described is None:
-        raise ValueError("--ros2 needs --robot, the description of body, wheels and beams: messages do not hold it")
+        raise ValueError(
+            "--ros2 needs --robot, the description of body, wheels and beams: messages do not "
+            "hold it"
+        )
     with ros_node(arguments) as node:
         node.parameters.check(described)
         link = RosLink(node, described, node.parameters)

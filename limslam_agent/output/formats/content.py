@@ -22,7 +22,9 @@ class Readings:
     """What the robots of a run measured."""
 
     robot: RobotSpec
-    ranges: NDArray[np.float32]  # (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
+    ranges: NDArray[
+        np.float32
+    ]  # (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
     wheels: NDArray[Any]  # (n, robots, 2), left and right wheel travel since the previous step, m
 
 
@@ -37,13 +39,18 @@ class ExportedRun:
     def paths(self) -> dict[str, list[FloatArray]]:
         """The trajectories that exist, each with the poses (n, 3) of each robot."""
         run = self.run
-        kinds = {"true": run.true, "estimated": run.estimated, "smoothed": run.smoothed, "odometry": run.odometry}
+        kinds = {
+            "true": run.true,
+            "estimated": run.estimated,
+            "smoothed": run.smoothed,
+            "odometry": run.odometry,
+        }
         return {name: poses for name, poses in kinds.items() if poses}
 
 
 def read_exported(folder: Path) -> ExportedRun:
-    """Read the folder of a finished run. Raises a FolderError if the folder is not that of a run, or a file in it
-    cannot be used.
+    """Read the folder of a finished run. Raises a FolderError if the folder is not that of a run,
+    or a file in it cannot be used.
     """
     run = read_run(folder).with_one_time()
     try:
@@ -54,8 +61,8 @@ def read_exported(folder: Path) -> ExportedRun:
 
 
 def read_readings(run: FinishedRun) -> Readings | None:
-    """The readings in a run's folder, or None where there are none. Raises a FolderError if they cannot be read, or do
-    not fit the run.
+    """The readings in a run's folder, or None where there are none. Raises a FolderError if they
+    cannot be read, or do not fit the run.
     """
     path = run.folder / LOG
     if not path.is_file():

@@ -1,4 +1,6 @@
-"""Exports a finished run as tables, as a drawing for CAD programs, and as a bag: all files appear together, or none."""
+"""Exports a finished run as tables, as a drawing for CAD programs, and as a bag: all files appear
+together, or none.
+"""
 
 import math
 import shutil
@@ -13,13 +15,20 @@ from limslam_agent.output.formats.ros_bag import write_bag
 from limslam_agent.output.tum import suffix_of
 from limslam_env.geometry import FloatArray
 
-_COLOURS = {"walls": 1, "true": 8, "estimated": 5, "smoothed": 4, "odometry": 30}  # AutoCAD's colour index
+_COLOURS = {
+    "walls": 1,
+    "true": 8,
+    "estimated": 5,
+    "smoothed": 4,
+    "odometry": 30,
+}  # AutoCAD's colour index
 
 
 def write_csv(folder: Path, exported: ExportedRun) -> list[Path]:
     """Write ``trajectories.csv``, ``walls.csv`` and, where there are readings, ``log.csv``.
 
-    Several robots have a table each. ``limslam replay log.csv --robot ...`` reads the table of readings.
+    Several robots have a table each. ``limslam replay log.csv --robot ...`` reads the table of
+    readings.
     """
     run, robots = exported.run, len(exported.run.estimated)
     written = [folder / "walls.csv"]
@@ -40,10 +49,15 @@ def _poses(exported: ExportedRun, number: int) -> tuple[list[str], FloatArray]:
     for kind, poses in exported.paths().items():
         names += [f"{kind}_{part}" for part in ("x", "y", "theta")]
         columns.append(poses[number])
-    for kind, covariances in (("estimated", run.covariances), ("smoothed", run.smoothed_covariances)):
+    for kind, covariances in (
+        ("estimated", run.covariances),
+        ("smoothed", run.smoothed_covariances),
+    ):
         if covariances:
             names += [f"{kind}_std_{part}" for part in ("x", "y", "theta")]
-            columns.append(np.sqrt(np.maximum(np.diagonal(covariances[number], axis1=1, axis2=2), 0.0)))
+            columns.append(
+                np.sqrt(np.maximum(np.diagonal(covariances[number], axis1=1, axis2=2), 0.0))
+            )
     return names, np.hstack(columns)
 
 
@@ -60,8 +74,8 @@ def _write(path: Path, names: list[str], table: FloatArray) -> None:
 
 
 def write_dxf(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write ``map.dxf`` for CAD programs, in metres, with a layer for the walls and one for each path. Raises a
-    ValueError if ezdxf is not installed.
+    """Write ``map.dxf`` for CAD programs, in metres, with a layer for the walls and one for each
+    path. Raises a ValueError if ezdxf is not installed.
     """
     try:
         from ezdxf import units
@@ -88,10 +102,12 @@ FORMATS = {"csv": write_csv, "dxf": write_dxf, "bag": write_bag}
 """What writes each format."""
 
 
-def export_run(folder: Path, target: Path, formats: Collection[str], *, force: bool = False) -> list[Path]:
-    """Write a finished run into a target folder in some of the ``FORMATS``, and return what was written. Raises a
-    ValueError if the folder is not that of a run, a file exists that ``force`` does not replace, or a package that a
-    format needs is not installed.
+def export_run(
+    folder: Path, target: Path, formats: Collection[str], *, force: bool = False
+) -> list[Path]:
+    """Write a finished run into a target folder in some of the ``FORMATS``, and return what was
+    written. Raises a ValueError if the folder is not that of a run, a file exists that ``force``
+    does not replace, or a package that a format needs is not installed.
     """
     exported = read_exported(folder)
     target.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,6 @@
-"""Writes a run as messages of ROS 2: a bag, whose file Foxglove opens, too. rosbags is an extra; ROS is not needed."""
+"""Writes a run as messages of ROS 2: a bag, whose file Foxglove opens, too. rosbags is an extra;
+ROS is not needed.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -27,8 +29,8 @@ class _Told:
 
 
 def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its messages. Raises a
-    ValueError if rosbags is not installed.
+    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its
+    messages. Raises a ValueError if rosbags is not installed.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -50,9 +52,9 @@ def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
 class _Messages:
     """Makes the messages of a run.
 
-    Frames: ``map`` is the frame of the map, ``odom`` the frame of odometry, ``base_link`` the robot, and ``beam_0`` and
-    so on the beams. Several robots put ``robot_0/`` and so on before all frames but ``map``, and before all topics but
-    those of the map.
+    Frames: ``map`` is the frame of the map, ``odom`` the frame of odometry, ``base_link`` the
+    robot, and ``beam_0`` and so on the beams. Several robots put ``robot_0/`` and so on before all
+    frames but ``map``, and before all topics but those of the map.
     """
 
     def __init__(self, types: "Typestore", exported: ExportedRun) -> None:
@@ -73,10 +75,19 @@ class _Messages:
         run, readings = self._exported.run, self._exported.readings
         base, odom = f"{prefix}base_link", f"{prefix}odom"
         estimated = run.estimated[number]
-        covariances = run.covariances[number] if run.covariances else np.zeros((len(run.time), 3, 3))
+        covariances = (
+            run.covariances[number] if run.covariances else np.zeros((len(run.time), 3, 3))
+        )
         if readings is not None:
-            mounts = [self._mount(base, f"{prefix}beam_{i}", beam) for i, beam in enumerate(readings.robot.beams)]
-            yield _Told(float(run.time[0]), "/tf_static", self._build.make("tf2_msgs/msg/TFMessage", transforms=mounts))
+            mounts = [
+                self._mount(base, f"{prefix}beam_{i}", beam)
+                for i, beam in enumerate(readings.robot.beams)
+            ]
+            yield _Told(
+                float(run.time[0]),
+                "/tf_static",
+                self._build.make("tf2_msgs/msg/TFMessage", transforms=mounts),
+            )
         if run.odometry:
             yield from self._odometry(run.odometry[number], estimated, prefix, odom, base)
         for row, time in enumerate(run.time.tolist()):
@@ -87,16 +98,23 @@ class _Messages:
         for kind, poses in self._exported.paths().items():
             yield _Told(self._end, f"/{prefix}path/{kind}", self._path(poses[number]))
 
-    def _odometry(self, poses: FloatArray, estimated: FloatArray, prefix: str, odom: str, base: str) -> Iterator[_Told]:
+    def _odometry(
+        self, poses: FloatArray, estimated: FloatArray, prefix: str, odom: str, base: str
+    ) -> Iterator[_Told]:
         time, build = self._exported.run.time, self._build
         moves = between(poses[:-1], poses[1:]) / np.maximum(np.diff(time), 1e-6)[:, None]
         speeds = np.vstack((np.zeros((1, 3)), moves))
         corrections = compose(estimated, inverse(poses))
         for row, stamp in enumerate(time.tolist()):
-            yield _Told(stamp, f"/{prefix}odom", build.odometry(stamp, (odom, base), poses[row], speeds[row]))
+            yield _Told(
+                stamp,
+                f"/{prefix}odom",
+                build.odometry(stamp, (odom, base), poses[row], speeds[row]),
+            )
             frames = [
-                build.transform(stamp, "map", odom, corrections[row]), build.transform(stamp, odom, base, poses[row])
-            ]  # fmt: skip
+                build.transform(stamp, "map", odom, corrections[row]),
+                build.transform(stamp, odom, base, poses[row]),
+            ]
             yield _Told(stamp, "/tf", build.make("tf2_msgs/msg/TFMessage", transforms=frames))
 
     def _ranges(self, time: float, ranges: Any, robot: RobotSpec, prefix: str) -> Iterator[_Told]:
@@ -107,7 +125,11 @@ class _Messages:
     def _path(self, poses: FloatArray) -> Any:
         build = self._build
         stamped = [
-            build.make("geometry_msgs/msg/PoseStamped", header=build.header(time, "map"), pose=build.pose(pose))
+            build.make(
+                "geometry_msgs/msg/PoseStamped",
+                header=build.header(time, "map"),
+                pose=build.pose(pose),
+            )
             for time, pose in zip(self._exported.run.time.tolist(), poses, strict=True)
         ]
         return build.make("nav_msgs/msg/Path", header=build.header(self._end, "map"), poses=stamped)

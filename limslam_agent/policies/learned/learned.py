@@ -1,11 +1,12 @@
-"""A learned exploration policy: a small network on the believed grid chooses the heading, and a planner finishes.
+"""A learned exploration policy: a small network on the believed grid chooses the heading, and a
+planner finishes.
 
-The network sees what is near. The frontier explorer plans paths to what is far away, looks into the last corners, and
-knows when there is nothing left. So the network drives where there is much to see, and the frontier explorer drives
-elsewhere and ends the exploration.
+The network sees what is near. The frontier explorer plans paths to what is far away, looks into the
+last corners, and knows when there is nothing left. So the network drives where there is much to
+see, and the frontier explorer drives elsewhere and ends the exploration.
 
-It also begins: it turns to what is near before it drives off. A robot that drives off at once, at top speed, loses its
-heading before it knows any wall, and the whole map stays turned by that error.
+It also begins: it turns to what is near before it drives off. A robot that drives off at once, at
+top speed, loses its heading before it knows any wall, and the whole map stays turned by that error.
 """
 
 import math
@@ -36,7 +37,8 @@ SHIPPED = "explorer.npz"
 TEMPERATURE = 0.5
 """Temperature of the softmax from which directions are drawn.
 
-The best direction at every decision would sometimes make the robot alternate between two places for ever.
+The best direction at every decision would sometimes make the robot alternate between two places for
+ever.
 """
 
 
@@ -45,25 +47,26 @@ HOLD = 5
 
 # Rate of turn per heading error, 1/s, and largest rate of turn, rad/s.
 _GAIN, _TURN_RATE = 5.0, 2.5
-# The network drives while the map has grown by so many m^2 for each robot within the last so many seconds, and so not
-# in the first ones.
+# The network drives while the map has grown by so many m^2 for each robot within the last so many
+# seconds, and so not in the first ones.
 _GROWTH, _WINDOW = 0.6, 8.0
-# Distance to the nearest frontier, m, up to which the network drives. It is the distance of the network's input, in
-# which small remnants count as farther away.
+# Distance to the nearest frontier, m, up to which the network drives. It is the distance of the
+# network's input, in which small remnants count as farther away.
 _FARTHEST = 2.0
-# Least number of cells of a frontier. Most of what the network leaves are small remnants, cells at wall ends that cost
-# long ways and show next to nothing.
+# Least number of cells of a frontier. Most of what the network leaves are small remnants, cells at
+# wall ends that cost long ways and show next to nothing.
 _LARGE_FRONTIER = 8
 
 
 class LearnedPolicy(FrontierPolicy):
-    """Drives at top speed in directions that a network chooses twice a second. Where there is little to see, the robot
-    explores frontiers at the same speed, and so ends the exploration.
+    """Drives at top speed in directions that a network chooses twice a second. Where there is
+    little to see, the robot explores frontiers at the same speed, and so ends the exploration.
 
     Parameters
     ----------
     robot, config
-        Body, and the settings that all policies share. Those of the paper's robot and the default settings if left out.
+        Body, and the settings that all policies share. Those of the paper's robot and the default
+        settings if left out.
     network
         Network that scores directions. The shipped one by default.
     seed
@@ -114,11 +117,15 @@ class LearnedPolicy(FrontierPolicy):
         view = self._network.view
         grid = own_part(belief, self.robot) if len(belief.other_poses) else belief.grid
         observation = observe(grid, belief.pose, belief.ranges, self.robot, view)
-        # The last two numbers of the observation are the distance to a frontier and whether there is a way to it.
+        # The last two numbers of the observation are the distance to a frontier and whether there
+        # is a way to it.
         is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= _FARTHEST
         self._heading = None
         growth = (self._counts[-1] - self._counts[0]) * belief.grid.cell**2
-        is_growing = len(self._counts) == self._counts.maxlen and growth >= (1 + len(belief.other_poses)) * _GROWTH
+        is_growing = (
+            len(self._counts) == self._counts.maxlen
+            and growth >= (1 + len(belief.other_poses)) * _GROWTH
+        )
         if is_near and is_growing:
             self._drop()
             scores = self._network.scores(observation).astype(float)
@@ -128,8 +135,8 @@ class LearnedPolicy(FrontierPolicy):
 
 
 def wheels_towards(heading: float, pose: FloatArray, robot: RobotSpec) -> FloatArray:
-    """Wheel speeds (2,), fractions of the maximum, that turn a robot at a pose (3,) to a heading (rad) while it drives
-    at top speed.
+    """Wheel speeds (2,), fractions of the maximum, that turn a robot at a pose (3,) to a heading
+    (rad) while it drives at top speed.
     """
     error = float(wrap_angle(heading - pose[2]))
     turn = float(np.clip(_GAIN * error, -_TURN_RATE, _TURN_RATE))
@@ -137,8 +144,8 @@ def wheels_towards(heading: float, pose: FloatArray, robot: RobotSpec) -> FloatA
 
 
 def own_part(belief: Belief, robot: RobotSpec) -> GridView:
-    """The grid of one robot of a team: other robots are obstacles, and unknown cells that are nearer to another robot
-    count as free.
+    """The grid of one robot of a team: other robots are obstacles, and unknown cells that are
+    nearer to another robot count as free.
     """
     grid, others = belief.grid, belief.other_poses
     theirs = grid.unknown & nearer_to_others(grid, belief.pose, others)

@@ -1,7 +1,8 @@
-"""What the beams would newly see if the robot turned to a direction and drove straight ahead, by the believed grid.
+"""What the beams would newly see if the robot turned to a direction and drove straight ahead, by
+the believed grid.
 
-The beams at the sides see most of what is new, and they look at right angles to the way. A network that saw only the
-polar cells near a direction would therefore not know what driving there shows.
+The beams at the sides see most of what is new, and they look at right angles to the way. A network
+that saw only the polar cells near a direction would therefore not know what driving there shows.
 """
 
 import math
@@ -25,15 +26,25 @@ FULL = (50.0, 100.0, 200.0)
 
 # Each unknown cell that a beam crosses makes it less likely that the beam goes on.
 _FADE = 0.95
-# The way is free if the body's middle and its shoulders, at this share of the radius, meet no occupied cell.
+# The way is free if the body's middle and its shoulders, at this share of the radius, meet no
+# occupied cell.
 _SHOULDER = 0.7
 
 
 @compiled
 def has_room(
-    values: GridArray, corner: IntArray, x: float, y: float, cos: float, sin: float, radius: float, cell: float
+    values: GridArray,
+    corner: IntArray,
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    radius: float,
+    cell: float,
 ) -> bool:
-    """Whether no cell under the middle and the shoulders of a body at a place (m) with this heading is occupied."""
+    """Whether no cell under the middle and the shoulders of a body at a place (m) with this heading
+    is occupied.
+    """
     rows, columns = values.shape
     for side in range(-1, 2):
         row = math.floor((y + side * _SHOULDER * radius * cos) / cell) - corner[1]
@@ -45,13 +56,23 @@ def has_room(
 
 @compiled
 def count_on_beam(
-    values: GridArray, corner: IntArray, x: float, y: float, to_x: float, to_y: float, steps: int, cell: float,
-    counted: NDArray[np.int32], counted_corner: tuple[int, int], stamp: int,
-) -> float:  # fmt: skip
-    """The unknown cells that a beam from a place (m) crosses up to an occupied one and that are not ``counted`` yet.
+    values: GridArray,
+    corner: IntArray,
+    x: float,
+    y: float,
+    to_x: float,
+    to_y: float,
+    steps: int,
+    cell: float,
+    counted: NDArray[np.int32],
+    counted_corner: tuple[int, int],
+    stamp: int,
+) -> float:
+    """The unknown cells that a beam from a place (m) crosses up to an occupied one and that are not
+    ``counted`` yet.
 
-    The beam takes ``steps`` steps (m) of the length of a cell. The first row and column of ``counted`` lie at
-    ``counted_corner``. Its cells are set to ``stamp``.
+    The beam takes ``steps`` steps (m) of the length of a cell. The first row and column of
+    ``counted`` lie at ``counted_corner``. Its cells are set to ``stamp``.
     """
     rows, columns = values.shape
     total, weight = 0.0, 1.0
@@ -72,18 +93,25 @@ def count_on_beam(
 
 @entry_of("limslam_agent.policies.learned", "limslam_agent.kernels")
 def look_ahead(
-    values: GridArray, corner: IntArray, pose: FloatArray, beams: FloatArray, radius: float, cell: float,
-    directions: int, ahead: NDArray[np.float32],
-) -> None:  # fmt: skip
+    values: GridArray,
+    corner: IntArray,
+    pose: FloatArray,
+    beams: FloatArray,
+    radius: float,
+    cell: float,
+    directions: int,
+    ahead: NDArray[np.float32],
+) -> None:
     """Fill ``ahead`` (AHEAD * directions,) with the unknown cells that straight drives would show.
 
     Parameters
     ----------
     values, corner
-        Cells (rows, columns): positive is free, negative is occupied, 0 is unknown. Column and row of the lower left
-        cell, counted from the world's origin. All cells beyond are unknown.
+        Cells (rows, columns): positive is free, negative is occupied, 0 is unknown. Column and row
+        of the lower left cell, counted from the world's origin. All cells beyond are unknown.
     pose, beams, radius, cell
-        Pose (3,), m and rad, rows of ``RobotSpec.beam_table``, radius of the body and side of a cell, m.
+        Pose (3,), m and rad, rows of ``RobotSpec.beam_table``, radius of the body and side of a
+        cell, m.
     directions
         Number of directions, counter-clockwise from straight ahead.
     """
@@ -102,9 +130,18 @@ def look_ahead(
                 to_x = cell * (cos * beams[beam, TOWARDS_X] - sin * beams[beam, TOWARDS_Y])
                 to_y = cell * (sin * beams[beam, TOWARDS_X] + cos * beams[beam, TOWARDS_Y])
                 total += count_on_beam(
-                    values, corner, from_x, from_y, to_x, to_y, math.floor(beams[beam, TOO_FAR] / cell), cell,
-                    counted, counted_corner, direction + 1,
-                )  # fmt: skip
+                    values,
+                    corner,
+                    from_x,
+                    from_y,
+                    to_x,
+                    to_y,
+                    math.floor(beams[beam, TOO_FAR] / cell),
+                    cell,
+                    counted,
+                    counted_corner,
+                    direction + 1,
+                )
             if place == PLACES[mark]:
                 ahead[mark * directions + direction] = total / FULL[mark]
                 mark += 1

@@ -1,4 +1,6 @@
-"""The network of the learned policy in numpy. It needs no deep-learning library and executes no code from files."""
+"""The network of the learned policy in numpy. It needs no deep-learning library and executes no
+code from files.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,21 +21,22 @@ LAYERS = ("first", "state", "second", "third", "score")
 COMPASS = 2
 
 SPREAD = {"second": 2, "third": 3}
-"""Directions between two taps of a convolution, where it is not one. So a score knows what lies 105 degrees to both
-sides, where the beams at the sides look.
+"""Directions between two taps of a convolution, where it is not one. So a score knows what lies 105
+degrees to both sides, where the beams at the sides look.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionNetwork:
-    """Scores directions with circular convolutions, so that each score depends on a direction and its neighbours.
+    """Scores directions with circular convolutions, so that each score depends on a direction and
+    its neighbours.
 
     Attributes
     ----------
     weights
-        Arrays by ``LAYER.weight`` and ``LAYER.bias``. Weights of circular convolutions have the shape (out, in, width),
-        and the weight of ``state`` has the shape (out, in). The last layer, ``score``, gets the result of the third
-        layer and the input.
+        Arrays by ``LAYER.weight`` and ``LAYER.bias``. Weights of circular convolutions have the
+        shape (out, in, width), and the weight of ``state`` has the shape (out, in). The last layer,
+        ``score``, gets the result of the third layer and the input.
     view
         The polar view that the network was trained with.
     """
@@ -45,9 +48,12 @@ class DirectionNetwork:
         """Logits (directions,) of an observation (size,) that ``polar_view.observe`` has made."""
         directions, size = self.view.directions, self.view.rows * self.view.directions
         angles = 2.0 * np.pi * np.arange(directions) / directions
-        # The heading relative to the robot. Without it the scores would not change when the robot turns.
+        # The heading relative to the robot. Without it the scores would not change when the robot
+        # turns.
         compass = np.stack((np.cos(angles), np.sin(angles)))
-        told = np.concatenate((observation[:size].reshape(-1, directions), compass)).astype(np.float32)
+        told = np.concatenate((observation[:size].reshape(-1, directions), compass)).astype(
+            np.float32
+        )
         state = self.weights["state.weight"] @ observation[size:] + self.weights["state.bias"]
         values = np.maximum(self._around("first", told) + state[:, None], 0.0)
         values = np.maximum(self._around("second", values), 0.0)
@@ -58,7 +64,9 @@ class DirectionNetwork:
         weight, bias = self.weights[f"{layer}.weight"], self.weights[f"{layer}.bias"]
         half, spread = weight.shape[2] // 2, SPREAD.get(layer, 1)
         shifts = [spread * (half - tap) for tap in range(weight.shape[2])]
-        total = sum(weight[:, :, tap] @ np.roll(values, shift, axis=1) for tap, shift in enumerate(shifts))
+        total = sum(
+            weight[:, :, tap] @ np.roll(values, shift, axis=1) for tap, shift in enumerate(shifts)
+        )
         return np.asarray(total + bias[:, None])
 
 
@@ -72,7 +80,8 @@ def save_network(path: Path, network: DirectionNetwork) -> None:
 
 
 def load_network(path: Path) -> DirectionNetwork:
-    """Read a file of :func:`save_network`. Files with Python objects are refused, so reading cannot execute code.
+    """Read a file of :func:`save_network`. Files with Python objects are refused, so reading cannot
+    execute code.
 
     Raises
     ------
@@ -93,9 +102,13 @@ def load_network(path: Path) -> DirectionNetwork:
     if shape.shape != (4,):
         raise ValueError(f"{path}: the shape of the view must be four numbers")
     view = ViewConfig(int(shape[0]), int(shape[1]), float(shape[2]), float(shape[3]))
-    network = DirectionNetwork({name: values.astype(np.float32) for name, values in held.items()}, view)
+    network = DirectionNetwork(
+        {name: values.astype(np.float32) for name, values in held.items()}, view
+    )
     try:
-        network.scores(np.zeros(view.rows * view.directions + held["state.weight"].shape[1], np.float32))
+        network.scores(
+            np.zeros(view.rows * view.directions + held["state.weight"].shape[1], np.float32)
+        )
     except (ValueError, IndexError) as error:
         raise ValueError(f"{path}: the layers do not fit together: {error}") from error
     return network

@@ -16,9 +16,24 @@ from limslam_agent.kernels import tables
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.batch import compiled_steps as steps
 from limslam_agent.slam.batch.grid import CropArray, crop, update
-from limslam_agent.slam.batch.state import REFUSED, STEP, Capacity, Spec, States, spec_of, states_for
+from limslam_agent.slam.batch.state import (
+    REFUSED,
+    STEP,
+    Capacity,
+    Spec,
+    States,
+    spec_of,
+    states_for,
+)
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
-from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
+from limslam_agent.slam.consistent.pending_readings import (
+    DRIVEN,
+    DRIVEN_AT,
+    FRESH,
+    SIDES,
+    TURNED,
+    TURNED_AT,
+)
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_env.compilation import algebra, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -40,8 +55,8 @@ class Beliefs:
     covariance
         Of the poses (n, 3, 3).
     grid
-        Occupancy around the robots (n, 1, size, size), 0 unknown, 127 free, 255 occupied; the robot is in the middle
-        and looks up.
+        Occupancy around the robots (n, 1, size, size), 0 unknown, 127 free, 255 occupied; the robot
+        is in the middle and looks up.
     """
 
     pose: FloatArray
@@ -52,10 +67,10 @@ class Beliefs:
 class BatchSlam:
     """The consistent estimator for many independent robots, each with an occupancy grid.
 
-    Each robot's estimates equal those of ``LineSlam`` and ``OccupancyGrid`` after the same observations, to 1e-6, as
-    long as nothing overflows its capacity and ``LineSlam`` finds no constant error of the odometry: a batch does not
-    calibrate odometry, even if the settings say ``if_needed``. Threads share the robots; the result does not depend on
-    their number.
+    Each robot's estimates equal those of ``LineSlam`` and ``OccupancyGrid`` after the same
+    observations, to 1e-6, as long as nothing overflows its capacity and ``LineSlam`` finds no
+    constant error of the odometry: a batch does not calibrate odometry, even if the settings say
+    ``if_needed``. Threads share the robots; the result does not depend on their number.
 
     Parameters
     ----------
@@ -75,7 +90,8 @@ class BatchSlam:
     Raises
     ------
     ValueError
-        If the settings name another estimator or always calibrate the odometry, or a number is too small.
+        If the settings name another estimator or always calibrate the odometry, or a number is too
+        small.
     """
 
     def __init__(
@@ -94,7 +110,11 @@ class BatchSlam:
             raise ValueError(f"a batch needs the preset consistent, not {config.preset!r}")  # noqa: TRY004 (a setting)
         if config.estimator.self_calibration.calibrate == "always":
             raise ValueError("a batch does not calibrate odometry by itself; LineSlam does")
-        for name, value, least in (("num_envs", num_envs, 1), ("num_threads", threads, 1), ("size", size, 0)):
+        for name, value, least in (
+            ("num_envs", num_envs, 1),
+            ("num_threads", threads, 1),
+            ("size", size, 0),
+        ):
             if value < least:
                 raise ValueError(f"{name} must be {least} or more, not {value}")
         self.robot, self.config, self.num_envs, self.size = robot, config, num_envs, size
@@ -107,7 +127,8 @@ class BatchSlam:
         self.reset(np.zeros((num_envs, tables.POSE)))
 
     def reset(self, start_poses: ArrayLike, mask: ArrayLike | None = None) -> None:
-        """Start again from known poses (n, 3), m, m, rad, with empty maps; with a mask (n,), only where it is true.
+        """Start again from known poses (n, 3), m, m, rad, with empty maps; with a mask (n,), only
+        where it is true.
 
         Raises
         ------
@@ -117,7 +138,9 @@ class BatchSlam:
         starts = np.array(start_poses, dtype=float)
         chosen = self._chosen(mask)
         if starts.shape != (self.num_envs, tables.POSE):
-            raise ValueError(f"{self.num_envs} robots need start poses ({self.num_envs}, 3), not {starts.shape}")
+            raise ValueError(
+                f"{self.num_envs} robots need start poses ({self.num_envs}, 3), not {starts.shape}"
+            )
         _refuse_if_not_finite(starts, chosen, "start pose")
         begin_some(self._states, starts, chosen, self.config.grid.cell)
 
@@ -131,15 +154,20 @@ class BatchSlam:
         wheels
             Left and right wheel travel since the last step (n, 2), m.
         mask
-            Which robots (n,) have an observation; by default all. The estimates of the other robots are returned as
-            zeros.
+            Which robots (n,) have an observation; by default all. The estimates of the other robots
+            are returned as zeros.
 
         Raises
         ------
         ValueError
-            If an argument has the wrong shape, or wheel travel is not finite. Then no state has changed.
+            If an argument has the wrong shape, or wheel travel is not finite. Then no state has
+            changed.
         """
-        seen, travel, chosen = np.asarray(ranges, dtype=float), np.asarray(wheels, dtype=float), self._chosen(mask)
+        seen, travel, chosen = (
+            np.asarray(ranges, dtype=float),
+            np.asarray(wheels, dtype=float),
+            self._chosen(mask),
+        )
         beams = len(self.robot.beams)
         if seen.shape != (self.num_envs, beams) or travel.shape != (self.num_envs, 2):
             raise ValueError(
@@ -149,12 +177,17 @@ class BatchSlam:
         _refuse_if_not_finite(travel, chosen, "wheel travel")
         seen = np.ascontiguousarray(as_readings(seen, self.robot.min_ranges, self.robot.max_ranges))
         travel = np.ascontiguousarray(travel)
-        poses, covariances = np.zeros((self.num_envs, tables.POSE)), np.zeros((self.num_envs, tables.POSE, tables.POSE))
+        poses, covariances = (
+            np.zeros((self.num_envs, tables.POSE)),
+            np.zeros((self.num_envs, tables.POSE, tables.POSE)),
+        )
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         begun = np.zeros(1, dtype=np.int64)
         self._share(
             len(chosen),
-            lambda: step_some(self._states, self._spec, seen, travel, chosen, begun, poses, covariances, grids),
+            lambda: step_some(
+                self._states, self._spec, seen, travel, chosen, begun, poses, covariances, grids
+            ),
         )
         return Beliefs(poses, covariances, grids)
 
@@ -177,7 +210,11 @@ class BatchSlam:
             if wall[tables.READINGS] < settings.min_readings:
                 continue
             counted = walls.counted[number, index, :, : wall[tables.LENGTH]]
-            extent = WallExtent(int(wall[tables.LOW]), counted, walls.reached[number, index, :, : wall[tables.LENGTH]])
+            extent = WallExtent(
+                int(wall[tables.LOW]),
+                counted,
+                walls.reached[number, index, :, : wall[tables.LENGTH]],
+            )
             line = belief.x[number, tables.POSE + 2 * index : tables.POSE + 2 * index + 2]
             intervals = extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
             found.append((belief.anchors[number, index] + at(line, intervals)).reshape(-1, 4))
@@ -204,7 +241,9 @@ class BatchSlam:
 
     @property
     def refused_readings(self) -> IntArray:
-        """Number of readings of each robot that were skipped (n,): no readings (NaN), and negative numbers."""
+        """Number of readings of each robot that were skipped (n,): no readings (NaN), and negative
+        numbers.
+        """
         return self._states.filter.counts[:, REFUSED].copy()
 
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
@@ -212,7 +251,9 @@ class BatchSlam:
             return np.arange(self.num_envs)
         wanted: BoolArray = np.asarray(mask)
         if wanted.shape != (self.num_envs,) or wanted.dtype != bool:
-            raise ValueError(f"a mask must be {self.num_envs} booleans, not {wanted.shape} of {wanted.dtype}")
+            raise ValueError(
+                f"a mask must be {self.num_envs} booleans, not {wanted.shape} of {wanted.dtype}"
+            )
         return np.flatnonzero(wanted)
 
     def _share(self, robots: int, work: Callable[[], Any]) -> None:
@@ -240,23 +281,37 @@ def state_of(states: States, number: int) -> States:
     ekf, walls = states.filter, states.walls
     return States(
         tables.Filter(
-            ekf.x[number], ekf.P[number], ekf.by_errors[number], ekf.anchors[number], ekf.clones[number],
-            ekf.counts[number], ekf.errors,
+            ekf.x[number],
+            ekf.P[number],
+            ekf.by_errors[number],
+            ekf.anchors[number],
+            ekf.clones[number],
+            ekf.counts[number],
+            ekf.errors,
         ),
         tables.Walls(
-            walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number],
+            walls.table[number],
+            walls.counted[number],
+            walls.reached[number],
+            walls.ends[number],
             walls.tally[number],
         ),
-        states.travel[number], states.pending[number], states.fill[number], states.contact[number],
-        states.ticks[number], states.grid[number], states.window[number],
-    )  # fmt: skip
+        states.travel[number],
+        states.pending[number],
+        states.fill[number],
+        states.contact[number],
+        states.ticks[number],
+        states.grid[number],
+        states.window[number],
+    )
 
 
 @algebra
 def accept(
     state: States, ranges: FloatArray, wheels: FloatArray, spec: Spec, measured: BoolArray
-) -> FloatArray:  # fmt: skip
-    """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,) are new.
+) -> FloatArray:
+    """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,)
+    are new.
 
     The encoders' jitter (3, 3) is returned: see ``encoder_ticks.jitter_of``.
     """
@@ -267,7 +322,10 @@ def accept(
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
         measured[beam] = is_number and ekf.counts[STEP] % spec.periods[beam] == 0
-        hits[beam] = measured[beam] and beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
+        hits[beam] = (
+            measured[beam]
+            and beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
+        )
     increment, covariance = steps.wheel_motion(wheels, settings.axle, settings.wheel_variance)
     before = state.ticks.copy()
     for wheel in range(2):
@@ -275,21 +333,40 @@ def accept(
     covariance += steps.first_jitter(before, state.ticks, settings.axle)
     jitter = steps.jitter_of(state.ticks, settings.axle)
     angles, too_near, radius = beams[:, tables.ANGLE], beams[:, tables.TOO_NEAR], settings.radius
-    variance, angle = steps.slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
+    variance, angle = steps.slip(
+        state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std
+    )
     if variance:
         covariance = covariance + steps.slip_covariance(variance, angle)
-    by_pose, by_increment = np.zeros((tables.POSE, tables.POSE)), np.zeros((tables.POSE, tables.POSE))
-    steps.move(ekf.x, ekf.P, steps.size_of(ekf.counts), 0, increment, covariance, by_pose, by_increment, tables.POSE)
+    by_pose, by_increment = (
+        np.zeros((tables.POSE, tables.POSE)),
+        np.zeros((tables.POSE, tables.POSE)),
+    )
+    steps.move(
+        ekf.x,
+        ekf.P,
+        steps.size_of(ekf.counts),
+        0,
+        increment,
+        covariance,
+        by_pose,
+        by_increment,
+        tables.POSE,
+    )
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
     noise, rays = (settings.std, settings.growth), np.empty((len(ranges), 6))
-    steps.clear(walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays)
+    steps.clear(
+        walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays
+    )
     if steps.is_due(travel, hits, spec.sides, settings):
         if ekf.counts[tables.CLONES] == len(ekf.clones):
             walls.tally[tables.OVERFLOWS] += 1
             steps.prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
         number = steps.clone(ekf, 0, jitter)
-        steps.collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, number)
+        steps.collect(
+            travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, number
+        )
     return jitter
 
 
@@ -307,11 +384,15 @@ def step_some(
 ) -> None:
     """Update chosen robots by one observation each, and fill their rows of the estimates.
 
-    ``begun`` (1,) counts the chosen robots that some thread has begun with. Steps differ in cost, so each thread takes
-    the next robot when it has finished one.
+    ``begun`` (1,) counts the chosen robots that some thread has begun with. Steps differ in cost,
+    so each thread takes the next robot when it has finished one.
     """
-    # The compiler processes a function and all below it again for each function above it, so there are few levels.
-    stamps, settings = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32), spec.settings[0]
+    # The compiler processes a function and all below it again for each function above it, so there
+    # are few levels.
+    stamps, settings = (
+        np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32),
+        spec.settings[0],
+    )
     measured = np.zeros(ranges.shape[1], dtype=np.bool_)
     place = next_of(begun)
     while place < len(chosen):
@@ -323,14 +404,30 @@ def step_some(
             is_over = steps.has_ended(travel, state.fill, side)
             if state.fill[side, FRESH] >= settings.batch or is_over:
                 steps.process(
-                    ekf, state.walls, state.pending, state.fill, side, travel[DRIVEN], settings, spec.beams, is_over,
+                    ekf,
+                    state.walls,
+                    state.pending,
+                    state.fill,
+                    side,
+                    travel[DRIVEN],
+                    settings,
+                    spec.beams,
+                    is_over,
                     None,
-                )  # fmt: skip
+                )
         pose[number] = ekf.x[: tables.POSE]
         covariance[number] = ekf.P[: tables.POSE, : tables.POSE] + steps.turned(jitter, ekf.x[2])
         update(
-            pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, place + 1
-        )  # fmt: skip
+            pose[number],
+            state.grid,
+            state.window,
+            ranges[number],
+            measured,
+            settings,
+            spec.beams,
+            stamps,
+            place + 1,
+        )
         if grids.shape[3]:
             crop(pose[number], state.grid, state.window, settings.cell, grids[number, 0])
         place = next_of(begun)
@@ -341,7 +438,11 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
     ekf = state.filter
     ekf.counts[:] = 0
-    ekf.counts[tables.POSES_END], ekf.counts[tables.LINES_FROM], ekf.counts[STEP] = tables.POSE, tables.POSE, -1
+    ekf.counts[tables.POSES_END], ekf.counts[tables.LINES_FROM], ekf.counts[STEP] = (
+        tables.POSE,
+        tables.POSE,
+        -1,
+    )
     ekf.x[: tables.POSE] = start
     ekf.P[: tables.POSE, : tables.POSE] = 0.0
     state.travel[:] = 0.0

@@ -1,4 +1,6 @@
-"""The decisions of a step, compiled: the functions of the single estimator, with what the filter asks of its arrays."""
+"""The decisions of a step, compiled: the functions of the single estimator, with what the filter
+asks of its arrays.
+"""
 
 import functools
 from types import FunctionType
@@ -33,7 +35,9 @@ _INSTEAD = {separate_bias.note_update: note_nothing, separate_bias.note_readings
 
 @functools.cache
 def compiled_step(function: Any) -> Any:
-    """The compiled counterpart of a plain function, with all that it calls, or of a kernel that Python calls."""
+    """The compiled counterpart of a plain function, with all that it calls, or of a kernel that
+    Python calls.
+    """
     if function in _INSTEAD:
         return _INSTEAD[function]
     if hasattr(function, "py_func"):
@@ -41,7 +45,9 @@ def compiled_step(function: Any) -> Any:
     names = dict(function.__globals__)
     for name in function.__code__.co_names:
         used = names.get(name)
-        if hasattr(used, "py_func") or (isinstance(used, FunctionType) and used.__module__.startswith("limslam_")):
+        if hasattr(used, "py_func") or (
+            isinstance(used, FunctionType) and used.__module__.startswith("limslam_")
+        ):
             names[name] = compiled_step(used)
     return algebra(FunctionType(function.__code__, names, function.__name__))
 

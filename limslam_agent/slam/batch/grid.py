@@ -1,8 +1,8 @@
 """Occupancy grids of robots: counterpart of ``limslam_agent.grid.occupancy`` for a batch.
 
-The batch keeps each robot's grid in a window that moves along: the cell (row, column) of the world, counted from its
-origin, is stored at these numbers modulo the side of the window. When something is seen outside of the window, the
-window is moved, and the cells that leave it are forgotten.
+The batch keeps each robot's grid in a window that moves along: the cell (row, column) of the world,
+counted from its origin, is stored at these numbers modulo the side of the window. When something is
+seen outside of the window, the window is moved, and the cells that leave it are forgotten.
 """
 
 import math
@@ -22,13 +22,18 @@ FREE, OCCUPIED = 127, 255
 
 @compiled
 def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> None:
-    """Move the window along an axis, no farther than necessary, to hold the cells from ``low`` to ``high``.
+    """Move the window along an axis, no farther than necessary, to hold the cells from ``low`` to
+    ``high``.
 
     If not all of them fit, the lower ones do.
     """
     side, first = grid.shape[0], window[axis]
     new = low if low < first else high - side + 1
-    for entering in range(max(new, first + side), new + side) if new > first else range(new, min(first, new + side)):
+    for entering in (
+        range(max(new, first + side), new + side)
+        if new > first
+        else range(new, min(first, new + side))
+    ):
         if axis == 0:
             grid[entering % side, :] = 0
         else:
@@ -38,14 +43,24 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 
 @compiled
 def update(
-    pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: Any,
-    beams: FloatArray, stamps: StampArray, stamp: int,
-) -> None:  # fmt: skip
+    pose: FloatArray,
+    grid: GridArray,
+    window: IntArray,
+    ranges: FloatArray,
+    measured: BoolArray,
+    settings: Any,
+    beams: FloatArray,
+    stamps: StampArray,
+    stamp: int,
+) -> None:
     """Update a grid by one step's readings (b,), m, of which those ``measured`` (b,) are new.
 
     ``stamps`` (cells, cells) is scratch, and ``stamp`` a number that it does not contain yet.
     """
-    cells, side = touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell), grid.shape[0]
+    cells, side = (
+        touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell),
+        grid.shape[0],
+    )
     for axis in range(2):
         low, high = cells[:, axis].min(), cells[:, axis].max()
         if low < window[axis] or high >= window[axis] + side:
@@ -57,13 +72,17 @@ def update(
         if not (0 <= row < side and 0 <= column < side):
             cells[i, 2] = SKIPPED
         row, column = row + low_at, column + left_at
-        cells[i, 0], cells[i, 1] = row - side if row >= side else row, column - side if column >= side else column
+        cells[i, 0], cells[i, 1] = (
+            row - side if row >= side else row,
+            column - side if column >= side else column,
+        )
     change_cells(grid, cells, stamps, stamp, settings.seen_through, settings.hit, settings.limit)
 
 
 @compiled
 def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: CropArray) -> None:
-    """Fill ``out`` (size, size) with the grid around the robot, which is in the middle and looks up.
+    """Fill ``out`` (size, size) with the grid around the robot, which is in the middle and looks
+    up.
 
     Cells are 0 where unknown, ``FREE``, or ``OCCUPIED``.
     """
@@ -72,7 +91,11 @@ def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: 
     low, left_most = float(window[0]), float(window[1])
     # Where the window's first row and column are stored.
     low_at, left_at = float(window[0] % side), float(window[1] % side)
-    places, values, cells = np.empty(size, dtype=np.int32), np.empty(size, dtype=grid.dtype), grid.reshape(-1)
+    places, values, cells = (
+        np.empty(size, dtype=np.int32),
+        np.empty(size, dtype=grid.dtype),
+        grid.reshape(-1),
+    )
     # Three loops without branches, so that the compiler takes several cells at once.
     for i in range(size):
         ahead = (0.5 * (size - 1) - i) * cell
@@ -82,7 +105,10 @@ def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: 
             column = np.floor((ahead * cos - left * sin + x) / cell) - left_most
             is_inside = (row >= 0.0) & (row < side) & (column >= 0.0) & (column < side)
             row, column = row + low_at, column + left_at
-            row, column = row - side if row >= side else row, column - side if column >= side else column
+            row, column = (
+                row - side if row >= side else row,
+                column - side if column >= side else column,
+            )
             places[j] = np.int32(row * side + column) if is_inside else -1
         for j in range(size):
             values[j] = cells[places[j]] if places[j] >= 0 else 0

@@ -1,4 +1,6 @@
-"""State of each robot of a batch in arrays of fixed size, and the settings as compiled functions read them."""
+"""State of each robot of a batch in arrays of fixed size, and the settings as compiled functions
+read them.
+"""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -16,7 +18,9 @@ from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
 STEP, REFUSED = range(5, 7)
-"""Places in ``Filter.counts`` after those of a single filter: the step, and how many readings were skipped."""
+"""Places in ``Filter.counts`` after those of a single filter: the step, and how many readings were
+skipped.
+"""
 
 
 @dataclass(frozen=True)
@@ -28,13 +32,14 @@ class Capacity:
     landmarks
         Lines of the filter. A wall segment for which there is no room does not become a landmark.
     clones
-        Poses that are cloned for pending readings. If there is no room, the oldest clone and its readings are removed,
-        as ``PendingReadingsConfig.max_clones`` does after each update. 0 means as many as can ever be needed.
+        Poses that are cloned for pending readings. If there is no room, the oldest clone and its
+        readings are removed, as ``PendingReadingsConfig.max_clones`` does after each update. 0
+        means as many as can ever be needed.
     bins
         Length of a landmark in bins of 5 cm. Hits beyond that length are not counted.
     cells
-        Side of the grid, in cells. The grid holds the area that was seen last: when the robot sees beyond it, the grid
-        moves along, and cells at the opposite side are forgotten.
+        Side of the grid, in cells. The grid holds the area that was seen last: when the robot sees
+        beyond it, the grid moves along, and cells at the opposite side are forgotten.
 
     Raises
     ------
@@ -50,7 +55,9 @@ class Capacity:
     def __post_init__(self) -> None:
         for name, least in (("landmarks", 1), ("clones", 0), ("bins", 1), ("cells", 1)):
             if getattr(self, name) < least:
-                raise ValueError(f"a capacity's {name} must be {least} or more, not {getattr(self, name)}")
+                raise ValueError(
+                    f"a capacity's {name} must be {least} or more, not {getattr(self, name)}"
+                )
 
 
 class States(NamedTuple):
@@ -67,8 +74,8 @@ class States(NamedTuple):
     ticks
         (n, 2): what ``core.encoder_ticks.tick_by`` has found of the encoders, m.
     grid, window
-        Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers modulo ``cells``.
-        Row and column (n, 2) of the lowest world cell that the grid holds.
+        Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers
+        modulo ``cells``. Row and column (n, 2) of the lowest world cell that the grid holds.
     """
 
     filter: Filter
@@ -88,7 +95,8 @@ class Spec(NamedTuple):
     Attributes
     ----------
     settings
-        An array of one record: ``StepSettings``, and further numbers of ``AgentConfig`` and ``RobotSpec``.
+        An array of one record: ``StepSettings``, and further numbers of ``AgentConfig`` and
+        ``RobotSpec``.
     beams
         ``RobotSpec.beam_table``.
     periods, sides
@@ -104,22 +112,37 @@ class Spec(NamedTuple):
 def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
     """The part of a robot and of its settings that compiled functions need."""
     std, grid = config.range_std, config.grid
-    given: dict[str, Any] = step_settings(estimator, RangeSensor(std, cone=robot.cone), std)._asdict()
-    given |= {"wheel_variance": config.noise.wheel_variance, "axle": robot.axle, "radius": robot.radius}
+    given: dict[str, Any] = step_settings(
+        estimator, RangeSensor(std, cone=robot.cone), std
+    )._asdict()
+    given |= {
+        "wheel_variance": config.noise.wheel_variance,
+        "axle": robot.axle,
+        "radius": robot.radius,
+    }
     given |= {name: getattr(grid, name) for name in ("cell", "seen_through", "hit", "limit")}
-    # A record is one argument of a compiled function; a tuple of thirty numbers would be thirty arguments.
+    # A record is one argument of a compiled function; a tuple of thirty numbers would be thirty
+    # arguments.
     kinds = {bool: np.bool_, int: np.int64, float: np.float64}
-    settings = np.array([tuple(given.values())], dtype=[(name, kinds[type(value)]) for name, value in given.items()])
+    settings = np.array(
+        [tuple(given.values())], dtype=[(name, kinds[type(value)]) for name, value in given.items()]
+    )
     periods = np.array([beam.period for beam in robot.beams])
-    return Spec(settings, np.array(robot.beam_table), periods, sides_of(robot, estimator.pending.beams))
+    return Spec(
+        settings, np.array(robot.beam_table), periods, sides_of(robot, estimator.pending.beams)
+    )
 
 
-def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capacity: Capacity) -> States:
+def states_for(
+    robot: RobotSpec, config: ConsistentConfig, num_envs: int, capacity: Capacity
+) -> States:
     """Arrays for the states of a number of robots, all zero."""
     enough = most_clones(config.pending.batch, config.pending.max_clones, 1)
     clones = min(capacity.clones or enough, enough)
     size = POSE + 2 * capacity.landmarks + POSE * clones
-    widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams)
+    widest = min(
+        max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams
+    )
     belief = Filter(
         x=np.zeros((num_envs, size)),
         P=np.zeros((num_envs, size, size)),

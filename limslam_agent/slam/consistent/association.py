@@ -1,8 +1,10 @@
-"""The decisions of a step: which wall the pending readings show, which landmarks are new, and which are one wall.
+"""The decisions of a step: which wall the pending readings show, which landmarks are new, and which
+are one wall.
 
-The functions are plain. The estimator of one team calls them as they are, with a ``CloneEKF``; the batch compiles the
-same functions with its own filter (``slam.batch.compiled_steps``). So they use numbers, arrays and named tuples only.
-What a listener is told is left out of compiled code, where the listener is None.
+The functions are plain. The estimator of one team calls them as they are, with a ``CloneEKF``; the
+batch compiles the same functions with its own filter (``slam.batch.compiled_steps``). So they use
+numbers, arrays and named tuples only. What a listener is told is left out of compiled code, where
+the listener is None.
 """
 
 import math
@@ -37,7 +39,15 @@ from limslam_agent.slam.consistent.clone_filter import (
     straight_segments,
 )
 from limslam_agent.slam.consistent.merging import along_line, close_loops_of
-from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
+from limslam_agent.slam.consistent.pending_readings import (
+    AHEAD,
+    CLONE,
+    DRIVEN_THEN,
+    FRESH,
+    SIDES,
+    WAITING,
+    readings_of,
+)
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -68,14 +78,23 @@ class Piece(NamedTuple):
 
 
 def process(
-    ekf: Filter, walls: Walls, pending: FloatArray, fill: IntArray, row: int, driven: float, settings: StepSettings,
-    beams: FloatArray, is_over: bool, listener: "StepReports | None",
-) -> None:  # fmt: skip
-    """Find straight pieces in the pending readings of a side, use them, and drop what is consumed or too old.
+    ekf: Filter,
+    walls: Walls,
+    pending: FloatArray,
+    fill: IntArray,
+    row: int,
+    driven: float,
+    settings: StepSettings,
+    beams: FloatArray,
+    is_over: bool,
+    listener: "StepReports | None",
+) -> None:
+    """Find straight pieces in the pending readings of a side, use them, and drop what is consumed
+    or too old.
 
-    ``row`` is the side, of those of all robots, of a robot that has ``driven`` so far, m. ``beams`` is
-    ``RobotSpec.beam_table``, and ``is_over`` says that no more readings of the side's walls will come. The listener is
-    told of each decision.
+    ``row`` is the side, of those of all robots, of a robot that has ``driven`` so far, m. ``beams``
+    is ``RobotSpec.beam_table``, and ``is_over`` says that no more readings of the side's walls will
+    come. The listener is told of each decision.
     """
     count = int(fill[row, WAITING])
     fill[row, FRESH] = 0
@@ -85,9 +104,15 @@ def process(
     # Beams ahead meet a wall at points far apart, with nothing in between.
     max_gap = limits.GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
     owner, lines, ends = extract_lines(
-        points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
-        settings.segment_length, settings.only_best,
-    )  # fmt: skip
+        points,
+        max_gap,
+        settings.min_votes,
+        settings.r_step,
+        settings.theta_step,
+        settings.near_line,
+        settings.segment_length,
+        settings.only_best,
+    )
     if listener is not None:
         listener.extracted(row, points, lines, ends)
     is_kept = np.ones(count, dtype=np.bool_)
@@ -103,8 +128,12 @@ def process(
             these = members[own]
             if listener is not None:
                 listener.considered(waiting[these], residuals[own])
-            is_complete = is_over or driven - waiting[these, DRIVEN_THEN].max() > limits.COMPLETE_AFTER
-            piece = Piece(places[these], readings[these], variances[these], now[these], segments[number])
+            is_complete = (
+                is_over or driven - waiting[these, DRIVEN_THEN].max() > limits.COMPLETE_AFTER
+            )
+            piece = Piece(
+                places[these], readings[these], variances[these], now[these], segments[number]
+            )
             is_kept[these] = not is_used(ekf, walls, piece, settings, is_complete, listener)
     if is_over:
         is_kept[:] = False
@@ -119,7 +148,9 @@ def discard(pending: FloatArray, fill: IntArray, row: int, is_kept: BoolArray) -
 
 
 def prune(ekf: Filter, pending: FloatArray, fill: IntArray, most: int) -> None:
-    """Marginalise clones without pending readings, and the oldest clones if there are more than ``most``."""
+    """Marginalise clones without pending readings, and the oldest clones if there are more than
+    ``most``.
+    """
     every = np.zeros(fill[:, WAITING].sum())
     size = 0
     for row in range(len(fill)):
@@ -134,7 +165,12 @@ def prune(ekf: Filter, pending: FloatArray, fill: IntArray, most: int) -> None:
 
 
 def is_used(
-    ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings, is_complete: bool, listener: "StepReports | None"
+    ekf: Filter,
+    walls: Walls,
+    piece: Piece,
+    settings: StepSettings,
+    is_complete: bool,
+    listener: "StepReports | None",
 ) -> bool:
     """Associate a piece of wall with a known landmark, or add a new one; whether it was used."""
     squared, landmarks = candidates(ekf, walls, piece)
@@ -143,7 +179,8 @@ def is_used(
     segment = piece.segment
     is_enough = len(piece.points) >= settings.new_readings * settings.usual_std
     is_sure = is_enough and segment[ANGLE_STD] <= limits.MAX_ANGLE_STD
-    # A filter that is more wrong than it states refuses the right walls, unless nothing else can be meant.
+    # A filter that is more wrong than it states refuses the right walls, unless nothing else can be
+    # meant.
     gate = limits.FAR_GATE if is_sure and second_best >= limits.FAR_GATE else settings.gate
     if listener is not None:
         listener.compared(piece, squared, landmarks, gate)
@@ -169,17 +206,29 @@ def candidates(ekf: Filter, walls: Walls, piece: Piece) -> tuple[FloatArray, Int
     squared = np.full(len(near), np.inf)
     for place, index in enumerate(near):
         along = along_line(ekf, index, piece.points)
-        if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) <= limits.MAX_END_GAP:
+        if (
+            max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max())
+            <= limits.MAX_END_GAP
+        ):
             squared[place] = compare(ekf, piece.places, piece.readings, index, piece.variances)
     order = np.argsort(squared)[: np.count_nonzero(squared < np.inf)]
     return squared[order], near[order]
 
 
 def update(
-    ekf: Filter, walls: Walls, piece: Piece, index: int, settings: StepSettings, listener: "StepReports | None"
+    ekf: Filter,
+    walls: Walls,
+    piece: Piece,
+    index: int,
+    settings: StepSettings,
+    listener: "StepReports | None",
 ) -> None:
-    """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
-    observe(ekf, piece.places, piece.readings, index, piece.variances, limits.ITERATIONS, limits.HUBER)
+    """Update filter and map by a piece of a landmark, and merge the landmark with others that are
+    the same wall.
+    """
+    observe(
+        ekf, piece.places, piece.readings, index, piece.variances, limits.ITERATIONS, limits.HUBER
+    )
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
     count_hits(walls, index, along_line(ekf, index, points))
     if listener is not None:

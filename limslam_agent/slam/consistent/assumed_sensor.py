@@ -1,4 +1,6 @@
-"""How the consistent estimator takes the range sensor to measure: as specified, until the readings say otherwise."""
+"""How the consistent estimator takes the range sensor to measure: as specified, until the readings
+say otherwise.
+"""
 
 import math
 
@@ -13,15 +15,16 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
 LEAST_BIAS, LEAST_ANGLE, LEAST_DELAY = 2e-3, math.radians(0.25), 0.1
-"""A bias, m, an opening angle or the directions of all beams, rad, and a delay, in steps, that differ by less are as
-assumed.
+"""A bias, m, an opening angle or the directions of all beams, rad, and a delay, in steps, that
+differ by less are as assumed.
 """
 
 
 class AssumedSensor:
     """The sensor that is assumed, and the residuals since then.
 
-    The sensor is assumed to be as ``specified`` by the robot's settings at first; its longest range is ``reach``, m.
+    The sensor is assumed to be as ``specified`` by the robot's settings at first; its longest range
+    is ``reach``, m.
 
     Attributes
     ----------
@@ -36,7 +39,8 @@ class AssumedSensor:
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self.sensor, config = sensor, self._config
-        # Turned beams say nothing of noise and opening angle, and while they are known roughly, they look like both.
+        # Turned beams say nothing of noise and opening angle, and while they are known roughly,
+        # they look like both.
         self._is_specified = sensor._replace(turns=(), delay=0.0, broken=()) == self.specified
         ratio = config.least_ratio if self._is_specified else config.further_ratio
         self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
@@ -48,12 +52,15 @@ class AssumedSensor:
         return self.sensor.usual_std(self._reach)
 
     def count(self, residuals: FloatArray, ranges: FloatArray) -> None:
-        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its ranges (n,), m."""
+        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its
+        ranges (n,), m.
+        """
         self._noise.count(residuals, ranges)
         self._is_counted = True
 
     def correction(self, errors: RangeErrors | None) -> RangeSensor | None:
-        """The sensor that the readings so far require; None if the assumed one will do, or nothing is new.
+        """The sensor that the readings so far require; None if the assumed one will do, or nothing
+        is new.
 
         The errors are those that are estimated beside the filter; None if they are not.
         """
@@ -70,15 +77,20 @@ class AssumedSensor:
         turned = self._turned(errors)
         if turned is not None:
             return turned
-        # What a model of wide cones leaves unexplained would be taken for a bias. A known one has to be corrected.
+        # What a model of wide cones leaves unexplained would be taken for a bias. A known one has
+        # to be corrected.
         may_be_biased = sensor.cone == self.specified.cone or sensor.bias != 0.0
-        is_biased = may_be_biased and evidence[0] > (config.further_gate if sensor.bias else config.gate)
+        is_biased = may_be_biased and evidence[0] > (
+            config.further_gate if sensor.bias else config.gate
+        )
         if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
             return None
-        # Too little noise looks like an opening angle, and the reverse. So once one of them is known to be wrong, any
-        # evidence for the other one counts. A bias is not found that early.
+        # Too little noise looks like an opening angle, and the reverse. So once one of them is
+        # known to be wrong, any evidence for the other one counts. A bias is not found that early.
         change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
-        std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
+        std, growth = (
+            (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
+        )
         cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
         return sensor._replace(std=std, growth=growth, cone=cone, bias=bias)
 
@@ -86,7 +98,10 @@ class AssumedSensor:
         """The sensor with another delay of its ranges, if the readings so far require that."""
         if errors is None:
             return None
-        delay, gate = self.sensor.delay, self._config.further_gate if self.sensor.delay else self._config.gate
+        delay, gate = (
+            self.sensor.delay,
+            self._config.further_gate if self.sensor.delay else self._config.gate,
+        )
         further = float(errors.estimate_of(COMMON)[0][DELAY])
         if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.delay_evidence < gate:
             return None
@@ -95,23 +110,27 @@ class AssumedSensor:
     def _turned(self, errors: RangeErrors) -> RangeSensor | None:
         """The sensor with other directions of its beams, if the readings require that.
 
-        Turned beams look like noise, a bias or an opening angle, so they are corrected first and alone. Beams that are
-        known to be turned are corrected whenever that explains the readings better than chance would: the first
-        estimate, from few metres, is some tenths of a degree off.
+        Turned beams look like noise, a bias or an opening angle, so they are corrected first and
+        alone. Beams that are known to be turned are corrected whenever that explains the readings
+        better than chance would: the first estimate, from few metres, is some tenths of a degree
+        off.
 
-        Noise is estimated by how readings of one segment scatter about its line. What they share, such as the error of
-        a wall that is not straight or of a clock, is no part of it, and looks like turned beams. So noise that is less
-        than specified is no reason to believe in them.
+        Noise is estimated by how readings of one segment scatter about its line. What they share,
+        such as the error of a wall that is not straight or of a clock, is no part of it, and looks
+        like turned beams. So noise that is less than specified is no reason to believe in them.
         """
         sensor, count = self.sensor, len(errors.stds[TURNS])
         if not count:
             return None
-        errors = errors.discounted(min(1.0, self.usual_std / self.specified.usual_std(self._reach)) ** 2)
+        errors = errors.discounted(
+            min(1.0, self.usual_std / self.specified.usual_std(self._reach)) ** 2
+        )
         turns = errors.estimate_of(TURNS)[0]
         if np.abs(turns).max() < LEAST_ANGLE:
             return None
         if sensor.turns:
-            # The gain is that beside a prior about the assumed directions. The prior of all turns is about zero.
+            # The gain is that beside a prior about the assumed directions. The prior of all turns
+            # is about zero.
             gain, gate = errors.turn_gain, self._config.further_gate + count
             evidence = gain - 2.0 * float(turns @ np.array(sensor.turns)) / self._config.turn_std**2
         else:

@@ -1,15 +1,17 @@
-"""The filter of the consistent estimator: poses, lines, and clones of the poses at which beams were read.
+"""The filter of the consistent estimator: poses, lines, and clones of the poses at which beams were
+read.
 
-The state is x = [poses of the robots, calibrations of their odometry if these are estimated, lines (d, theta), clones]
-with covariance P. A clone is a copy of a pose with the same uncertainty, and correlated with all else from then on
-(S. Roumeliotis and J. Burdick, "Stochastic cloning", 2002). A range is a measurement of the clone from which it was
-read, even if the wall that the beam hit becomes known much later. So the noise of the odometry in between enters only
-once.
+The state is x = [poses of the robots, calibrations of their odometry if these are estimated, lines
+(d, theta), clones] with covariance P. A clone is a copy of a pose with the same uncertainty, and
+correlated with all else from then on (S. Roumeliotis and J. Burdick, "Stochastic cloning", 2002). A
+range is a measurement of the clone from which it was read, even if the wall that the beam hit
+becomes known much later. So the noise of the odometry in between enters only once.
 
-A rotation or shift of the whole world changes no range, so the global pose is unobservable and an update must not
-reduce its uncertainty. A standard EKF does reduce it once a correction has moved the point at which Jacobians are
-taken. Here each error is defined relative to the first robot's error, as in an invariant filter (A. Barrau and S.
-Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015), and P is transformed when the state changes.
+A rotation or shift of the whole world changes no range, so the global pose is unobservable and an
+update must not reduce its uncertainty. A standard EKF does reduce it once a correction has moved
+the point at which Jacobians are taken. Here each error is defined relative to the first robot's
+error, as in an invariant filter (A. Barrau and S. Bonnabel, "An EKF-SLAM algorithm with consistency
+properties", 2015), and P is transformed when the state changes.
 """
 
 import math
@@ -19,8 +21,21 @@ import numpy as np
 from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_END, Filter
 from limslam_agent.slam.consistent import clone_filter
-from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
-from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, ConstantErrors, OdometryErrors, RangeErrors
+from limslam_agent.slam.consistent.clone_filter import (
+    begins_of,
+    clones_from,
+    equality,
+    line_at,
+    num_lines,
+    size_of,
+)
+from limslam_agent.slam.consistent.separate_bias import (
+    DELAY,
+    TURNS,
+    ConstantErrors,
+    OdometryErrors,
+    RangeErrors,
+)
 from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
@@ -30,29 +45,35 @@ _LINES, _CLONES = 24, 12  # room that is made at once, besides an eighth of the 
 
 
 class CloneEKF:
-    """The filter of one team: any number of robots, constant errors of odometry and ranges, and room that grows.
+    """The filter of one team: any number of robots, constant errors of odometry and ranges, and
+    room that grows.
 
     Parameters
     ----------
     pose
         Start (3,), m, m, rad; of several robots (n, 3).
     calibration
-        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``, which becomes part of the state by
+        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``, which becomes
+        part of the state by
         :meth:`calibrate`; None if it is not estimated.
     range_errors
-        Standard deviations of the errors of ``RangeErrors``, m and rad; None if these are not estimated.
+        Standard deviations of the errors of ``RangeErrors``, m and rad; None if these are not
+        estimated.
 
     Attributes
     ----------
     arrays
         The state with its covariance, as ``clone_filter`` reads and changes them.
     has_turned_beams
-        Whether beams are known to be turned. What is unknown of their directions is then a part of the covariance of
-        the poses.
+        Whether beams are known to be turned. What is unknown of their directions is then a part of
+        the covariance of the poses.
     """
 
     def __init__(
-        self, pose: FloatArray, calibration: FloatArray | None = None, range_errors: tuple[float, ...] | None = None
+        self,
+        pose: FloatArray,
+        calibration: FloatArray | None = None,
+        range_errors: tuple[float, ...] | None = None,
     ) -> None:
         start, self.has_turned_beams = np.array(pose, dtype=float).ravel(), False
         self._errors = ConstantErrors(
@@ -60,16 +81,21 @@ class CloneEKF:
             None if range_errors is None else RangeErrors(range_errors),
         )
         robots = len(start) // POSE
-        # Of the poses in the latest step: the change in the world, the jitter in the robot's frame, and, since each
-        # step asks for it several times, the jitter in the world at a heading.
+        # Of the poses in the latest step: the change in the world, the jitter in the robot's frame,
+        # and, since each step asks for it several times, the jitter in the world at a heading.
         self._motions, self._jitters = np.zeros((robots, POSE)), [np.zeros((POSE, POSE))] * robots
         self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
-            start, np.zeros((len(start),) * 2), by_errors, np.zeros((0, 2)), np.zeros(0, dtype=np.int64), counts,
+            start,
+            np.zeros((len(start),) * 2),
+            by_errors,
+            np.zeros((0, 2)),
+            np.zeros(0, dtype=np.int64),
+            counts,
             self._errors,
-        )  # fmt: skip
+        )
 
     @property
     def x(self) -> FloatArray:
@@ -85,7 +111,9 @@ class CloneEKF:
 
     @property
     def by_errors(self) -> FloatArray:
-        """Derivative (n, k) of the state by the constant errors that it takes to be zero, a view."""
+        """Derivative (n, k) of the state by the constant errors that it takes to be zero, a
+        view.
+        """
         return self.arrays.by_errors[: size_of(self.arrays.counts)]
 
     @property
@@ -113,7 +141,10 @@ class CloneEKF:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
         for robot, jitter in enumerate(self._jitters):
-            own, heading = slice(POSE * robot, POSE * robot + POSE), self.arrays.x.item(POSE * robot + 2)
+            own, heading = (
+                slice(POSE * robot, POSE * robot + POSE),
+                self.arrays.x.item(POSE * robot + 2),
+            )
             if self._in_world[robot][0] != heading or self._in_world[robot][1] is not jitter:
                 self._in_world[robot] = heading, jitter, turned(jitter, heading)
             joint[own, own] += self._in_world[robot][2]
@@ -147,7 +178,9 @@ class CloneEKF:
         return np.asarray(by_line @ self._block(self._part(index)) @ by_line.T)
 
     def calibration(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
-        """A robot's odometry calibration (3,) and its covariance (3, 3); None if it is not part of the state."""
+        """A robot's odometry calibration (3,) and its covariance (3, 3); None if it is not part of
+        the state.
+        """
         if self._lines_from == self._poses_end:
             return None
         part = self._calibration_part(robot)
@@ -155,16 +188,22 @@ class CloneEKF:
 
     @property
     def calibration_evidence(self) -> float | None:
-        """``OdometryErrors.evidence`` for constant errors; None if they are not estimated, or part of the state."""
+        """``OdometryErrors.evidence`` for constant errors; None if they are not estimated, or part
+        of the state.
+        """
         return None if self._errors.odometry is None else self._errors.odometry.evidence
 
     @property
     def range_errors(self) -> RangeErrors | None:
-        """Errors of the ranges beside the assumed ones, which the state does not know of; None if not estimated."""
+        """Errors of the ranges beside the assumed ones, which the state does not know of; None if
+        not estimated.
+        """
         return self._errors.ranges
 
     def calibrate(self) -> None:
-        """Make the odometry's calibration a part of the state, with what all updates so far say of it."""
+        """Make the odometry's calibration a part of the state, with what all updates so far say of
+        it.
+        """
         odometry = self._errors.odometry
         if odometry is None:
             return
@@ -197,9 +236,23 @@ class CloneEKF:
     def predict(self, motion: Motion, robot: int = 0) -> None:
         """Move a robot."""
         arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
-        by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
+        by_pose, by_increment, moved = (
+            np.zeros((POSE, POSE)),
+            np.zeros((POSE, POSE)),
+            slice(at, at + POSE),
+        )
         increment, covariance = motion.increment, motion.covariance
-        move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, self._poses_end)
+        move_pose(
+            arrays.x,
+            arrays.P,
+            size,
+            at,
+            increment,
+            covariance,
+            by_pose,
+            by_increment,
+            self._poses_end,
+        )
         self._motions[robot], self._jitters[robot] = by_increment @ increment, motion.jitter
         if not motion.has_turned:
             self._motions[robot, 2] = 0.0
@@ -216,19 +269,29 @@ class CloneEKF:
             P[:, moved] += P[:, part] @ drift.T
 
     def relocate(
-        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, by_lines: FloatArray | None = None
+        self,
+        pose: FloatArray,
+        covariance: FloatArray,
+        robot: int = 0,
+        by_lines: FloatArray | None = None,
     ) -> None:
         """Put a robot at another pose (3,), which was found without regard to where it was before.
 
-        The covariance (3, 3) is that of its error with respect to the lines. With a derivative ``by_lines`` (3, 2 N) of
-        the pose by the lines among which it was found, it has their errors; otherwise it is independent of all else.
+        The covariance (3, 3) is that of its error with respect to the lines. With a derivative
+        ``by_lines`` (3, 2 N) of the pose by the lines among which it was found, it has their
+        errors; otherwise it is independent of all else.
         """
         by_state, part = np.zeros((POSE, len(self.x))), slice(POSE * robot, POSE * robot + POSE)
         if by_lines is not None:
             by_state[:, self._lines_from : self._lines_from + by_lines.shape[1]] = by_lines
         joint, by_errors = by_state @ self.P, by_state @ self.by_errors
         own = joint @ by_state.T + covariance
-        self.x[part], self.P[part], self.P[:, part], self.by_errors[part] = pose, joint, joint.T, by_errors
+        self.x[part], self.P[part], self.P[:, part], self.by_errors[part] = (
+            pose,
+            joint,
+            joint.T,
+            by_errors,
+        )
         self.P[part, part] = own
 
     def make_room(self, lines: int = 0, clones: int = 0) -> None:
@@ -238,17 +301,27 @@ class CloneEKF:
         wanted = self._lines_from + 2 * lines + POSE * clones
         if wanted > len(arrays.x) or lines > len(arrays.anchors) or clones > len(arrays.clones):
             room = wanted + wanted // 8 + 2 * _LINES + POSE * _CLONES
-            self.arrays = self._room_for(room, lines + _LINES, clones + _CLONES, arrays.by_errors.shape[1])
-            self.arrays.x[:size], self.arrays.P[:size, :size] = arrays.x[:size], arrays.P[:size, :size]
+            self.arrays = self._room_for(
+                room, lines + _LINES, clones + _CLONES, arrays.by_errors.shape[1]
+            )
+            self.arrays.x[:size], self.arrays.P[:size, :size] = (
+                arrays.x[:size],
+                arrays.P[:size, :size],
+            )
             self.arrays.by_errors[:size] = arrays.by_errors[:size]
 
     def clone(self, robot: int = 0) -> int:
-        """Add the pose at which a robot's present readings were taken to the state, and return its number.
+        """Add the pose at which a robot's present readings were taken to the state, and return its
+        number.
 
-        It is a copy of the robot's pose with its jitter. Late readings were taken where the robot was before.
+        It is a copy of the robot's pose with its jitter. Late readings were taken where the robot
+        was before.
         """
         self.make_room(clones=1)
-        number, ranges = clone_filter.clone(self.arrays, robot, self._jitters[robot]), self._errors.ranges
+        number, ranges = (
+            clone_filter.clone(self.arrays, robot, self._jitters[robot]),
+            self._errors.ranges,
+        )
         if ranges is not None:
             self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
         return number
@@ -262,7 +335,8 @@ class CloneEKF:
         return clone_filter.add_line(self.arrays, theta, float(anchor[0]), float(anchor[1]))
 
     def add_known_line(self, line: FloatArray, covariance: FloatArray, anchor: FloatArray) -> int:
-        """Add a line (r, theta) with a covariance (2, 2), independent of all else, and return its index.
+        """Add a line (r, theta) with a covariance (2, 2), independent of all else, and return its
+        index.
 
         Its anchor (2,), m, should be near the wall.
         """
@@ -275,7 +349,9 @@ class CloneEKF:
         return index
 
     def differences(self, pairs: list[tuple[int, int]]) -> tuple[FloatArray, FloatArray]:
-        """Differences of n pairs of lines (2 n,), as of ``clone_filter.difference``, and their covariance."""
+        """Differences of n pairs of lines (2 n,), as of ``clone_filter.difference``, and their
+        covariance.
+        """
         off, H = np.zeros(2 * len(pairs)), np.zeros((2 * len(pairs), len(self.x)))
         for row, pair in enumerate(pairs):
             off[2 * row : 2 * row + 2], own, columns = equality(self.arrays, *pair)
@@ -283,12 +359,17 @@ class CloneEKF:
         return off, H @ self.P @ H.T
 
     def marginal(self) -> FloatArray:
-        """Joint covariance of the poses and all lines, without the calibration of the odometry and without clones."""
+        """Joint covariance of the poses and all lines, without the calibration of the odometry and
+        without clones.
+        """
         kept = np.r_[: self._poses_end, self._lines_from : clones_from(self.arrays.counts)]
         return np.array(self.P[np.ix_(kept, kept)])
 
-    def restart(self, poses: FloatArray, lines: FloatArray, anchors: FloatArray, covariance: FloatArray) -> None:
-        """Replace poses (n, 3) and lines (m, 2) with anchors (m, 2), which have a joint covariance; no clones are left.
+    def restart(
+        self, poses: FloatArray, lines: FloatArray, anchors: FloatArray, covariance: FloatArray
+    ) -> None:
+        """Replace poses (n, 3) and lines (m, 2) with anchors (m, 2), which have a joint covariance;
+        no clones are left.
 
         The calibration of the odometry is kept. From now on it is independent of the rest.
         """
@@ -304,12 +385,14 @@ class CloneEKF:
         self.arrays = arrays
 
     def correct_ranges(self, errors: FloatArray) -> None:
-        """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate further ones.
+        """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate
+        further ones.
 
-        What remains unknown of turned beams becomes a part of the state's covariance. With the derivative V of the
-        state by the turns since the last correction, and their covariance M, that adds V M V' to P, and V begins again
-        at zero. Each correction adds this term by itself, although the error of the turns is the same one in all of
-        them: the products of the derivatives from before and after a correction are left out.
+        What remains unknown of turned beams becomes a part of the state's covariance. With the
+        derivative V of the state by the turns since the last correction, and their covariance M,
+        that adds V M V' to P, and V begins again at zero. Each correction adds this term by itself,
+        although the error of the turns is the same one in all of them: the products of the
+        derivatives from before and after a correction are left out.
         """
         ranges = self._errors.ranges
         if ranges is not None:
@@ -334,7 +417,9 @@ class CloneEKF:
         return slice(first, first + 2)
 
     def _block(self, part: slice) -> FloatArray:
-        """Covariance of some states that follow the poses, of which only the lower triangle is kept."""
+        """Covariance of some states that follow the poses, of which only the lower triangle is
+        kept.
+        """
         lower = np.tril(self.arrays.P[part, part])
         return np.asarray(lower + np.tril(lower, -1).T)
 
@@ -348,7 +433,9 @@ class CloneEKF:
         return np.column_stack((lines[:, 0] + np.sum(normals * self.anchors, axis=1), lines[:, 1]))
 
     def _spread_by_turns(self, size: int) -> FloatArray:
-        """Covariance of the first states (size, size) by what remains unknown of the directions of the beams."""
+        """Covariance of the first states (size, size) by what remains unknown of the directions of
+        the beams.
+        """
         ranges = self._errors.ranges
         if ranges is None:
             return np.zeros((size, size))
@@ -356,19 +443,36 @@ class CloneEKF:
         return np.asarray(by_turns @ ranges.covariance_of_turns @ by_turns.T)
 
     def _room_for(self, size: int, lines: int, clones: int, errors: int) -> Filter:
-        """Arrays for a state of a size, all zero, with the anchors, clones and counts of this filter."""
+        """Arrays for a state of a size, all zero, with the anchors, clones and counts of this
+        filter.
+        """
         old, counts = self.arrays, self.arrays.counts.copy()
         anchors, numbers = np.zeros((lines, 2)), np.zeros(clones, dtype=np.int64)
         known, open_clones = min(lines, self.num_lines), min(clones, self.num_clones)
         anchors[:known], numbers[:open_clones] = old.anchors[:known], old.clones[:open_clones]
         by_errors = np.zeros((size, errors))
-        return Filter(np.zeros(size), np.zeros((size, size)), by_errors, anchors, numbers, counts, self._errors)
+        return Filter(
+            np.zeros(size),
+            np.zeros((size, size)),
+            by_errors,
+            anchors,
+            numbers,
+            counts,
+            self._errors,
+        )
 
     def _correct(self, change: FloatArray) -> None:
         """Add a correction (n,) to the state, and transport the error of P to the new state."""
         arrays, size = self.arrays, len(change)
         moved = correct_state(
-            arrays.x, arrays.P, size, begins_of(arrays.counts), arrays.anchors, self.num_lines, np.zeros((size, POSE)),
-            np.zeros((0, size)), change,
-        )  # fmt: skip
+            arrays.x,
+            arrays.P,
+            size,
+            begins_of(arrays.counts),
+            arrays.anchors,
+            self.num_lines,
+            np.zeros((size, POSE)),
+            np.zeros((0, size)),
+            change,
+        )
         self.by_errors[:] += moved @ self.by_errors[:POSE]

@@ -1,17 +1,34 @@
-"""The filter of poses, lines and clones in arrays with room, and what the decisions of a step ask of it.
+"""The filter of poses, lines and clones in arrays with room, and what the decisions of a step ask
+of it.
 
-:mod:`~limslam_agent.slam.consistent.clone_ekf` explains the state. The functions are plain: the estimator of one team
-calls them as they are, and the batch compiles them (``slam.batch.compiled_steps``). What takes long is a kernel.
+:mod:`~limslam_agent.slam.consistent.clone_ekf` explains the state. The functions are plain: the
+estimator of one team calls them as they are, and the batch compiles them
+(``slam.batch.compiled_steps``). What takes long is a kernel.
 """
 
 import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import copy_pose, correct_state, dense_block, dense_rows, keep_states, move_pose
+from limslam_agent.kernels.covariance import (
+    copy_pose,
+    correct_state,
+    dense_block,
+    dense_rows,
+    keep_states,
+    move_pose,
+)
 from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
-from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
+from limslam_agent.kernels.tables import (
+    CLONES,
+    LINES,
+    LINES_FROM,
+    NEXT_CLONE,
+    POSE,
+    POSES_END,
+    Filter,
+)
 from limslam_agent.kernels.updates import compare_readings, update_by_readings
 from limslam_agent.slam.consistent.limits import EQUALITY_NOISE, KNOWN_PLACE, LINE_PRIOR, MAX_ANGLE
 from limslam_agent.slam.consistent.separate_bias import note_readings, note_update
@@ -23,7 +40,8 @@ def num_lines(ekf: Filter) -> int:
     return int(ekf.counts[LINES])
 
 
-# What is called all the time takes the counts only: compiled code counts references to each array that it hands on.
+# What is called all the time takes the counts only: compiled code counts references to each array
+# that it hands on.
 
 
 def line_at(counts: IntArray, index: int) -> int:
@@ -58,8 +76,14 @@ def anchor_of(ekf: Filter, index: int) -> tuple[float, float]:
 
 
 def lines_near(ekf: Filter, theta: float, x: float, y: float, offset: float) -> IntArray:
-    """Lines (k,) with about this direction, rad, that pass a point, m, at less than ``offset``, m."""
-    first, end, anchors = line_at(ekf.counts, 0), clones_from(ekf.counts), ekf.anchors[: ekf.counts[LINES]]
+    """Lines (k,) with about this direction, rad, that pass a point, m, at less than ``offset``,
+    m.
+    """
+    first, end, anchors = (
+        line_at(ekf.counts, 0),
+        clones_from(ekf.counts),
+        ekf.anchors[: ekf.counts[LINES]],
+    )
     d, own = ekf.x[first:end:2], ekf.x[first + 1 : end : 2]
     turn = np.abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
     off = np.abs((x - anchors[:, 0]) * np.cos(own) + (y - anchors[:, 1]) * np.sin(own) - d)
@@ -67,30 +91,45 @@ def lines_near(ekf: Filter, theta: float, x: float, y: float, offset: float) -> 
 
 
 def end_points(ekf: Filter, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
-    """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; on the middle of beams if NaN."""
+    """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; on the middle
+    of beams if NaN.
+    """
     return ends_of_beams(ekf.x, clones_from(ekf.counts), places, readings, theta)
 
 
 def straight_segments(
-    ekf: Filter, places: IntArray, readings: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
-    std: float, variances: FloatArray,
-) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+    ekf: Filter,
+    places: IntArray,
+    readings: FloatArray,
+    points: FloatArray,
+    members: IntArray,
+    line: FloatArray,
+    std: float,
+    variances: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:
     """Cut readings near one line into straight segments: ``kernels.segments.cut_at_bends``."""
     start = clones_from(ekf.counts)
-    return cut_at_bends(ekf.x, ekf.P, start, places, readings, points, members, line, std, variances)
+    return cut_at_bends(
+        ekf.x, ekf.P, start, places, readings, points, members, line, std, variances
+    )
 
 
-def compare(ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray) -> float:
+def compare(
+    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
+) -> float:
     """How badly readings fit a line: ``kernels.updates.compare_readings``."""
     line, anchor = line_at(ekf.counts, index), anchor_of(ekf, index)
-    return compare_readings(ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances)
+    return compare_readings(
+        ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances
+    )
 
 
 def clone(ekf: Filter, robot: int, jitter: FloatArray) -> int:
-    """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number.
+    """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's
+    number.
 
-    The copy is where the robot is, and the pose is the sum of what its encoders have reported: ``jitter`` (3, 3) is the
-    covariance of their difference, in the robot's frame.
+    The copy is where the robot is, and the pose is the sum of what its encoders have reported:
+    ``jitter`` (3, 3) is the covariance of their difference, in the robot's frame.
     """
     number, size, whole = ekf.counts[NEXT_CLONE], size_of(ekf.counts), ekf.counts[POSES_END]
     copy_pose(ekf.x, ekf.P, ekf.by_errors, size, whole, POSE * robot)
@@ -109,8 +148,13 @@ def keep(ekf: Filter, is_kept: BoolArray) -> None:
 
 
 def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
-    """Marginalise all clones but the wanted ones (n,). What they contributed to other states remains."""
-    clones, is_wanted = ekf.clones[: ekf.counts[CLONES]], np.zeros(ekf.counts[CLONES], dtype=np.bool_)
+    """Marginalise all clones but the wanted ones (n,). What they contributed to other states
+    remains.
+    """
+    clones, is_wanted = (
+        ekf.clones[: ekf.counts[CLONES]],
+        np.zeros(ekf.counts[CLONES], dtype=np.bool_),
+    )
     is_wanted[np.searchsorted(clones, wanted.astype(np.int64))] = True
     if is_wanted.all():
         return
@@ -140,35 +184,54 @@ def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
 
 
 def observe(
-    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray, iterations: int,
+    ekf: Filter,
+    places: IntArray,
+    readings: FloatArray,
+    index: int,
+    variances: FloatArray,
+    iterations: int,
     huber: float,
-) -> None:  # fmt: skip
+) -> None:
     """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 
-    The readings (n, 6) with variances (n,), m^2, were taken from the clones at these places (n,). Residuals of more
-    than ``huber`` standard deviations are down-weighted (P. Huber, "Robust estimation of a location parameter", 1964);
-    0 for no weights.
+    The readings (n, 6) with variances (n,), m^2, were taken from the clones at these places (n,).
+    Residuals of more than ``huber`` standard deviations are down-weighted (P. Huber, "Robust
+    estimation of a location parameter", 1964); 0 for no weights.
     """
     counts = ekf.counts
     found = update_by_readings(
-        ekf.x, ekf.P, size_of(counts), begins_of(counts), ekf.anchors, counts[LINES], index, places, readings,
-        variances, iterations, huber,
-    )  # fmt: skip
+        ekf.x,
+        ekf.P,
+        size_of(counts),
+        begins_of(counts),
+        ekf.anchors,
+        counts[LINES],
+        index,
+        places,
+        readings,
+        variances,
+        iterations,
+        huber,
+    )
     moved, change, _, _, _, _, W, _, chosen = found
     if not len(chosen):
         return
-    again = correct_state(ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change)
+    again = correct_state(
+        ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change
+    )
     note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts))
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Difference (2,) of two lines about the younger's anchor, m and rad, its derivative (2, 7), and by which states.
+    """Difference (2,) of two lines about the younger's anchor, m and rad, its derivative (2, 7),
+    and by which states.
 
-    The offset of two lines that are not exactly parallel depends on where along them it is measured. A robot whose
-    place is uncertain by metres does not know where along its walls the anchor is. If the anchor were a fixed point,
-    moving the whole world along a wall by some metres would explain an offset of some centimetres. So it is carried
-    along with the first robot's pose, unless its place is known: then a common motion of robot and world changes
-    nothing in the difference (G. Huang, A. Mourikis and S. Roumeliotis, "Observability-based rules for designing
+    The offset of two lines that are not exactly parallel depends on where along them it is
+    measured. A robot whose place is uncertain by metres does not know where along its walls the
+    anchor is. If the anchor were a fixed point, moving the whole world along a wall by some metres
+    would explain an offset of some centimetres. So it is carried along with the first robot's pose,
+    unless its place is known: then a common motion of robot and world changes nothing in the
+    difference (G. Huang, A. Mourikis and S. Roumeliotis, "Observability-based rules for designing
     consistent EKF SLAM estimators", 2010).
     """
     (d, theta), (other_d, other) = line_of(ekf, older), line_of(ekf, younger)
@@ -183,7 +246,10 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
     for k in range(POSE):
         columns[k] = k
     for k in range(2):
-        columns[POSE + k], columns[POSE + 2 + k] = line_at(ekf.counts, older) + k, line_at(ekf.counts, younger) + k
+        columns[POSE + k], columns[POSE + 2 + k] = (
+            line_at(ekf.counts, older) + k,
+            line_at(ekf.counts, younger) + k,
+        )
     along_x, along_y, variance = math.cos(other) - sign * cos, math.sin(other) - sign * sin, 0.0
     by_pose = along_x, along_y, (x - ekf.x[0]) * along_y - (y - ekf.x[1]) * along_x
     for i in range(POSE):
@@ -196,16 +262,20 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
 
 
 def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
-    """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2, 2)."""
+    """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2,
+    2).
+    """
     off, H, columns = equality(ekf, older, younger)
     return off, H @ dense_block(ekf.P, columns) @ H.T
 
 
 def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
-    """Merge two lines: update by the constraint that they are equal, and marginalise the younger one.
+    """Merge two lines: update by the constraint that they are equal, and marginalise the younger
+    one.
 
-    With more than one iteration, the constraint is linearised where the lines are equal. A common rotation of all
-    lines and poses then changes nothing in it, so that many merges say nothing about the global heading.
+    With more than one iteration, the constraint is linearised where the lines are equal. A common
+    rotation of all lines and poses then changes nothing in it, so that many merges say nothing
+    about the global heading.
     """
     size, begins, count = size_of(ekf.counts), begins_of(ekf.counts), num_lines(ekf)
     start, change = ekf.x[:size].copy(), np.zeros(size)
@@ -217,7 +287,8 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
         ekf.x[:size] += change
         moved = error_transport(ekf.x, size, begins, ekf.anchors, count) - at_first
         off, H, columns = equality(ekf, older, younger)
-        # The rows of P as a transport of its error by ``moved`` changes them: see ``correct_state``.
+        # The rows of P as a transport of its error by ``moved`` changes them: see
+        # ``correct_state``.
         rows = dense_rows(ekf.P, size, begins[0], columns) + moved[columns] @ pose
         HP = H @ (rows + rows[:, :POSE].copy() @ moved.T.copy())
         so_far = ekf.x[:size] - start
@@ -230,7 +301,9 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
         W[0] = HP[0] / factor[0, 0]
         W[1] = (HP[1] - factor[1, 0] * W[0]) / factor[1, 1]
         first = innovation[0] / factor[0, 0]
-        change = first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
+        change = (
+            first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
+        )
     again = correct_state(ekf.x, ekf.P, size, begins, ekf.anchors, count, moved, W, change)
     note_update(ekf, H, columns, innovation, factor, W, moved, again, None)
     is_kept = np.ones(size, dtype=np.bool_)

@@ -1,7 +1,9 @@
-"""The consistent estimator: SLAM with lines in which each range is used once, as a measurement of a cloned pose.
+"""The consistent estimator: SLAM with lines in which each range is used once, as a measurement of a
+cloned pose.
 
-Readings are pending, beside clones of the poses that they were taken from, until the Hough transform finds a line in
-them and it is clear which wall the line is. Then each reading updates the filter as one range from one pose.
+Readings are pending, beside clones of the poses that they were taken from, until the Hough
+transform finds a line in them and it is clear which wall the line is. Then each reading updates the
+filter as one range from one pose.
 """
 
 import math
@@ -48,12 +50,18 @@ if TYPE_CHECKING:
     from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
 KNOWN_SPACING = 0.01
-"""Distance, m, between the points by which a wall of an earlier map is counted, as if beams had ended there."""
+"""Distance, m, between the points by which a wall of an earlier map is counted, as if beams had
+ended there.
+"""
 
 KNOWN_VARIANCES = (0.01**2, math.radians(0.2) ** 2)
-"""Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations are not known."""
+"""Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations
+are not known.
+"""
 
-_CALIBRATION_GATE = 8.0  # twice the logarithm of the Bayes factor for wheels and axle of other sizes
+_CALIBRATION_GATE = (
+    8.0  # twice the logarithm of the Bayes factor for wheels and axle of other sizes
+)
 
 
 class ConsistentEstimator(Estimator):
@@ -65,9 +73,17 @@ class ConsistentEstimator(Estimator):
         # Kernels. Who imports this module need not wait for numba.
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
-        robot, robots, config = self.robot, len(self.robots), cast(ConsistentConfig, self.config.estimator)
+        robot, robots, config = (
+            self.robot,
+            len(self.robots),
+            cast(ConsistentConfig, self.config.estimator),
+        )
         calibration, errors = config.self_calibration, config.range_errors
-        stds = errors.stds(len(robot.beams) if robots == 1 else 0, robot.control_period) if errors.enabled else None
+        stds = (
+            errors.stds(len(robot.beams) if robots == 1 else 0, robot.control_period)
+            if errors.enabled
+            else None
+        )
         odometry = None if calibration.calibrate == "never" else calibration.covariance
         self.filter = CloneEKF(self._start, odometry, stds)
         if calibration.calibrate == "always":
@@ -90,17 +106,26 @@ class ConsistentEstimator(Estimator):
         return self._map.arrays
 
     def count_residuals(self, residuals: FloatArray, ranges: FloatArray) -> None:
-        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its ranges (n,), m."""
+        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its
+        ranges (n,), m.
+        """
         self._sensor.count(residuals, ranges)
 
     @property
     def association_limits(self) -> dict[str, float]:
-        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        """The limits that decide about associations and loops, for diagnostics to show beside the
+        values.
+        """
         return {
-            "gate": self.settings.gate, "far_gate": limits.FAR_GATE, "angle": limits.MAX_ANGLE,
-            "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
-            "loop_gate": limits.ONE_WALL_GATE, "loop_overlap": limits.MIN_OVERLAP, "loop_offset": limits.MAX_OFFSET,
-        }  # fmt: skip
+            "gate": self.settings.gate,
+            "far_gate": limits.FAR_GATE,
+            "angle": limits.MAX_ANGLE,
+            "offset": limits.MAX_OFFSET,
+            "gap": limits.MAX_END_GAP,
+            "loop_gate": limits.ONE_WALL_GATE,
+            "loop_overlap": limits.MIN_OVERLAP,
+            "loop_offset": limits.MAX_OFFSET,
+        }
 
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
         """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
@@ -108,17 +133,23 @@ class ConsistentEstimator(Estimator):
             if mark.segments:
                 points, _ = sample(segments[list(mark.segments)], KNOWN_SPACING)
                 spread = mark.covariance + np.diag(KNOWN_VARIANCES)
-                self.filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
+                self.filter.add_known_line(
+                    np.array([mark.r, mark.theta]), spread, points.mean(axis=0)
+                )
                 self._map.add_known(points)
 
     @property
     def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
-        """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is not corrected."""
+        """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is
+        not corrected.
+        """
         found = [self.filter.calibration(robot) for robot in range(len(self.robots))]
         return [each and (OdometryCalibration(*each[0].tolist()), each[1]) for each in found]
 
     def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
-        """Correct the odometry from now on, by the readings so far or by what another drive of the robot has found."""
+        """Correct the odometry from now on, by the readings so far or by what another drive of the
+        robot has found.
+        """
         self.filter.calibrate()
         if found is not None:
             self.filter.know_calibration(np.array(found[0]), found[1])
@@ -130,7 +161,9 @@ class ConsistentEstimator(Estimator):
 
     @property
     def beam_turns(self) -> FloatArray | None:
-        """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is."""
+        """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad;
+        None if no beam is.
+        """
         turns, errors = self.sensor.turns, self.filter.range_errors
         if not turns or errors is None or not len(errors.turns):
             return None
@@ -143,42 +176,61 @@ class ConsistentEstimator(Estimator):
 
     @property
     def map_state(self) -> MapState:
-        """The pose of the robot and the map, without the pending readings. Later steps do not change it."""
+        """The pose of the robot and the map, without the pending readings. Later steps do not
+        change it.
+        """
         self._check_renewable()
         ekf = self.filter
         return MapState(ekf.pose, ekf.anchored, ekf.anchors.copy(), ekf.marginal(), self._map.walls)
 
     def renew(self, state: MapState) -> None:
-        """Replace the pose of the only robot and the map, and forget the pending readings, which the new map knows.
+        """Replace the pose of the only robot and the map, and forget the pending readings, which
+        the new map knows.
 
-        Landmarks with the number ``NEW`` get new numbers, and those that are a known wall are merged with it: at first
-        those that were recognised, since another wall may be as near to where a landmark seems to be. Landmarks through
-        which most beams have passed by now are left out.
+        Landmarks with the number ``NEW`` get new numbers, and those that are a known wall are
+        merged with it: at first those that were recognised, since another wall may be as near to
+        where a landmark seems to be. Landmarks through which most beams have passed by now are left
+        out.
         """
         from limslam_agent.slam.consistent.merging import close_loops_of
 
         self._check_renewable()
         walls = self._map.up_to_date(state.walls)
-        state = replace(state, walls=walls).select([index for index, wall in enumerate(walls) if wall.is_wall])
+        state = replace(state, walls=walls).select(
+            [index for index, wall in enumerate(walls) if wall.is_wall]
+        )
         self.filter.restart(state.pose, state.lines, state.anchors, state.covariance)
-        new, known_as = self._map.replace(state.walls), [wall.known_as for wall in state.walls if wall.number == NEW]
+        new, known_as = (
+            self._map.replace(state.walls),
+            [wall.known_as for wall in state.walls if wall.number == NEW],
+        )
         reports = StepReports(self, 0, self.robots[0].step)
         self._merge_recognised(new, known_as, reports)
         for number in new:
             places = np.flatnonzero(self._map.numbers == number)
             if len(places):
-                close_loops_of(self.filter.arrays, self.walls, int(places[0]), self.settings, reports)
+                close_loops_of(
+                    self.filter.arrays, self.walls, int(places[0]), self.settings, reports
+                )
         self._fill[:] = 0
 
     def relocate(
-        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, ends: FloatArray | None = None
+        self,
+        pose: FloatArray,
+        covariance: FloatArray,
+        robot: int = 0,
+        ends: FloatArray | None = None,
     ) -> None:
         """Put a robot at another pose (3,): see the base class."""
         self.finish()
-        by_lines = None if ends is None or not self.is_renewable else self.map_state.by_walls(pose, ends)
+        by_lines = (
+            None if ends is None or not self.is_renewable else self.map_state.by_walls(pose, ends)
+        )
         self.filter.relocate(pose, covariance, robot, by_lines)
 
-    def close(self, pose: FloatArray, covariance: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def close(
+        self, pose: FloatArray, covariance: FloatArray, ends: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
         """Close a loop: see ``LineSlam.close``."""
         self.finish()
         before = self.map_state
@@ -189,7 +241,9 @@ class ConsistentEstimator(Estimator):
         return before.anchors, found[1]
 
     def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
-        """Predict the pose of a robot, whose motion is less certain if it touches something, as the wheels show."""
+        """Predict the pose of a robot, whose motion is less certain if it touches something, as the
+        wheels show.
+        """
         found, front = self.filter.calibration(number), self.robots[number]
         if found is not None:
             motion = calibrated(motion, self.robot.axle, OdometryCalibration(*found[0].tolist()))
@@ -232,7 +286,9 @@ class ConsistentEstimator(Estimator):
 
         found, table = [], self._mounted.beam_table
         for row, (waiting, fresh) in enumerate(self._fill.tolist()):
-            places, readings, _ = readings_of(self.filter.arrays, self._pending[row, :waiting], table, self.settings)
+            places, readings, _ = readings_of(
+                self.filter.arrays, self._pending[row, :waiting], table, self.settings
+            )
             number, side = divmod(row, len(SIDES))
             points = end_points(self.filter.arrays, places, readings, math.nan)
             found.append(PendingPoints(number, SIDES[side], points, self.settings.batch, fresh))
@@ -246,12 +302,15 @@ class ConsistentEstimator(Estimator):
         self.settings = step_settings(config, sensor, self._sensor.usual_std)
 
     def assume(self, sensor: RangeSensor) -> None:
-        """Take the sensor to measure like this from now on, and correct the state for what was assumed before."""
+        """Take the sensor to measure like this from now on, and correct the state for what was
+        assumed before.
+        """
         self.filter.correct_ranges(sensor.change_from(self.sensor))
         self._assume(sensor)
 
     def correct_delay(self) -> None:
-        """Take the ranges to be as late as they are, if the readings say so. The caller lets the wheels wait for them.
+        """Take the ranges to be as late as they are, if the readings say so. The caller lets the
+        wheels wait for them.
 
         Without that, the same delay would be found again and again.
         """
@@ -260,7 +319,9 @@ class ConsistentEstimator(Estimator):
             self.assume(found)
 
     def leave_out(self, beam: int) -> None:
-        """Use no further readings of a broken beam. What was found about the sensor may have been due to it."""
+        """Use no further readings of a broken beam. What was found about the sensor may have been
+        due to it.
+        """
         if self.is_renewable:
             broken = (*self.sensor.broken, beam)
             self.assume(self._specified._replace(delay=self.sensor.delay, broken=broken))
@@ -270,7 +331,9 @@ class ConsistentEstimator(Estimator):
             raise TypeError("only the estimate of a single robot can be renewed")
 
     def _correct_sensor(self) -> None:
-        """Take the sensor's errors as estimated, if the readings say that they are not as assumed."""
+        """Take the sensor's errors as estimated, if the readings say that they are not as
+        assumed.
+        """
         found = self._sensor.correction(self.filter.range_errors)
         if found is not None:
             self.assume(found)
@@ -282,9 +345,18 @@ class ConsistentEstimator(Estimator):
         ekf, sensor = self.filter.arrays, self.sensor
         if ekf.counts[LINES]:
             clear_along_beams(
-                self.walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, POSE * number, front.ranges, front.measured,
-                self._mounted.beam_table, sensor.numbers[:2], np.empty((len(front.ranges), 6)),
-            )  # fmt: skip
+                self.walls,
+                ekf.x,
+                ekf.P,
+                ekf.counts,
+                ekf.anchors,
+                POSE * number,
+                front.ranges,
+                front.measured,
+                self._mounted.beam_table,
+                sensor.numbers[:2],
+                np.empty((len(front.ranges), 6)),
+            )
 
     def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:
         """Use the pending readings of a side of a robot."""
@@ -295,12 +367,24 @@ class ConsistentEstimator(Estimator):
         self._map.make_room(lines)
         self.filter.make_room(lines=lines)
         process(
-            self.filter.arrays, self.walls, self._pending, self._fill, row, float(self._travel[number, DRIVEN]),
-            self.settings, self._mounted.beam_table, is_over, StepReports(self, number, step),
-        )  # fmt: skip
+            self.filter.arrays,
+            self.walls,
+            self._pending,
+            self._fill,
+            row,
+            float(self._travel[number, DRIVEN]),
+            self.settings,
+            self._mounted.beam_table,
+            is_over,
+            StepReports(self, number, step),
+        )
 
-    def _merge_recognised(self, new: Sequence[int], known_as: Sequence[int], reports: StepReports) -> None:
-        """Merge new landmarks with the known ones that they were recognised as, as far as all of them agree."""
+    def _merge_recognised(
+        self, new: Sequence[int], known_as: Sequence[int], reports: StepReports
+    ) -> None:
+        """Merge new landmarks with the known ones that they were recognised as, as far as all of
+        them agree.
+        """
         from limslam_agent.slam.consistent.merging import merge_landmarks
 
         places = {number: place for place, number in enumerate(self._map.numbers.tolist())}
@@ -310,6 +394,7 @@ class ConsistentEstimator(Estimator):
             if self.settings.closes_loops and known in places
         ]
         agreeing = [pairs[chosen] for chosen in self._map.agreeing(pairs)]
-        # The younger landmark is removed: the last ones first, so that the others keep their places.
+        # The younger landmark is removed: the last ones first, so that the others keep their
+        # places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
             merge_landmarks(self.filter.arrays, self.walls, older, younger, reports)

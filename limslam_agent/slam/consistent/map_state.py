@@ -1,4 +1,6 @@
-"""The map of the consistent estimator at one moment, with the pose: a joint Gaussian, and the extents of the walls."""
+"""The map of the consistent estimator at one moment, with the pose: a joint Gaussian, and the
+extents of the walls.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -13,8 +15,11 @@ from limslam_env.geometry.se2 import wrap_angle
 
 _AT_WALL = 0.2  # m: a reading that ends farther from a wall says nothing of it
 _AROUND = 0.5  # m: lines that are nearer count alike for the motion around an anchor
-_ALIKE = np.deg2rad(0.5)  # rad: lines whose directions are known so well, relative to each other, count alike, too
-_LEAST_SEEN = 1e-3  # share of the best determined direction below which the walls do not determine a direction
+_ALIKE = np.deg2rad(
+    0.5
+)  # rad: lines whose directions are known so well, relative to each other, count alike, too
+# share of the best determined direction below which the walls do not determine a direction
+_LEAST_SEEN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +31,8 @@ class MapState:
     pose
         Pose (3,), m, m, rad.
     lines, anchors
-        Lines (m, 2) as (d, theta) about one anchor point each, m and rad, and the anchors (m, 2), m.
+        Lines (m, 2) as (d, theta) about one anchor point each, m and rad, and the anchors (m, 2),
+        m.
     covariance
         Joint covariance of the pose and all lines (3 + 2 m, 3 + 2 m).
     walls
@@ -41,26 +47,37 @@ class MapState:
 
     def select(self, chosen: list[int]) -> "MapState":
         """The state without the other landmarks."""
-        rows = np.append(np.arange(POSE), [POSE + 2 * index + part for index in chosen for part in (0, 1)]).astype(int)
-        covariance, walls = self.covariance[np.ix_(rows, rows)], [self.walls[index] for index in chosen]
+        rows = np.append(
+            np.arange(POSE), [POSE + 2 * index + part for index in chosen for part in (0, 1)]
+        ).astype(int)
+        covariance, walls = (
+            self.covariance[np.ix_(rows, rows)],
+            [self.walls[index] for index in chosen],
+        )
         return MapState(self.pose, self.lines[chosen], self.anchors[chosen], covariance, walls)
 
     @property
     def moved_with(self) -> FloatArray:
-        """Derivative (3 + 2 m, 3) of the state by a rigid motion of the world that moves the pose."""
+        """Derivative (3 + 2 m, 3) of the state by a rigid motion of the world that moves the
+        pose.
+        """
         x, y, _ = self.pose.tolist()
         own = poses_moved_with((x, y), self.pose[None])
         return np.vstack((own, lines_moved_with((x, y), self.lines, self.anchors)))
 
     def by_walls(self, pose: FloatArray, ends: FloatArray) -> FloatArray:
-        """Derivative (3, 2 m) of a pose (3,) by the lines, if it was found by readings that end on them.
+        """Derivative (3, 2 m) of a pose (3,) by the lines, if it was found by readings that end on
+        them.
 
-        The readings end at points (n, 2). A least squares fit of these points to the nearest walls has found the pose.
-        The derivative is zero in directions that no wall determines.
+        The readings end at points (n, 2). A least squares fit of these points to the nearest walls
+        has found the pose. The derivative is zero in directions that no wall determines.
         """
         if not self.walls:
             return np.zeros((POSE, 0))
-        off, (low, high) = ends[:, None] - self.anchors, np.array([wall.extent.ends for wall in self.walls]).T
+        off, (low, high) = (
+            ends[:, None] - self.anchors,
+            np.array([wall.extent.ends for wall in self.walls]).T,
+        )
         along = np.einsum("nmd,md->nm", off, direction(self.lines))
         away = np.abs(np.einsum("nmd,md->nm", off, normal(self.lines)) - self.lines[:, 0])
         away[(along < low - _AT_WALL) | (along > high + _AT_WALL)] = np.inf
@@ -77,19 +94,21 @@ class MapState:
     def closed(
         self, pose: FloatArray, covariance: FloatArray, ends: FloatArray
     ) -> "tuple[MapState, FloatArray] | None":
-        """The state after a loop: readings that end at points (n, 2) have found the pose (3,) among the walls there.
+        """The state after a loop: readings that end at points (n, 2) have found the pose (3,) among
+        the walls there.
 
-        This is the update of the Kalman filter by a measurement of the pose relative to these walls, whose covariance
-        (3, 3) is given. It moves all that is known since the robot has left them. The difference of both poses is
-        measured in the found one, so that a motion of the whole world changes nothing in it. What lies around a wall
-        moves with it along the wall, too: its own extent, and the cells of a grid.
+        This is the update of the Kalman filter by a measurement of the pose relative to these
+        walls, whose covariance (3, 3) is given. It moves all that is known since the robot has left
+        them. The difference of both poses is measured in the found one, so that a motion of the
+        whole world changes nothing in it. What lies around a wall moves with it along the wall,
+        too: its own extent, and the cells of a grid.
 
         Returns
         -------
         state, motions
-            The state, and the rigid motion (m, 3) of what lies around each line, about the anchors of this state. None
-            if the covariance of this state does not explain the difference of the poses, or the walls do not determine
-            the pose.
+            The state, and the rigid motion (m, 3) of what lies around each line, about the anchors
+            of this state. None if the covariance of this state does not explain the difference of
+            the poses, or the walls do not determine the pose.
         """
         by_walls = self.by_walls(pose, ends)
         off = self.pose - pose
@@ -100,12 +119,20 @@ class MapState:
         determined = by_walls @ lines_moved_with((x, y), self.lines, self.anchors)
         joint = by_state @ self.covariance
         stated = joint @ by_state.T + covariance
-        if not np.allclose(determined, np.eye(POSE)) or off @ np.linalg.solve(stated, off) > ONE_WALL_GATE:
+        if (
+            not np.allclose(determined, np.eye(POSE))
+            or off @ np.linalg.solve(stated, off) > ONE_WALL_GATE
+        ):
             return None
         gain = np.linalg.solve(stated, joint).T
         change = -gain @ off
         lines = self.lines + change[POSE:].reshape(-1, 2)
-        after = replace(self, pose=self.pose + change[:POSE], lines=lines, covariance=self.covariance - gain @ joint)
+        after = replace(
+            self,
+            pose=self.pose + change[:POSE],
+            lines=lines,
+            covariance=self.covariance - gain @ joint,
+        )
         # The error of the state moves with the robot's: see CloneEKF.
         transport = np.eye(len(change))
         transport[:, :POSE] += after.moved_with - self.moved_with
@@ -120,24 +147,34 @@ class MapState:
 
 
 def _motions_around(state: MapState, lines: FloatArray) -> FloatArray:
-    """The rigid motion (m, 3) of the world around each anchor of a state, of which the lines are now (m, 2).
+    """The rigid motion (m, 3) of the world around each anchor of a state, of which the lines are
+    now (m, 2).
 
-    A line says nothing of a motion along it. So it is the motion that fits the lines around: most of all those that are
-    near, and have the same error of the heading, since both ends of a loop may lie at the same place of the map.
+    A line says nothing of a motion along it. So it is the motion that fits the lines around: most
+    of all those that are near, and have the same error of the heading, since both ends of a loop
+    may lie at the same place of the map.
     """
     motions, changes = np.zeros((len(lines), POSE)), (lines - state.lines).ravel()
     headings = state.covariance[POSE + 1 :: 2, POSE + 1 :: 2]
     for number, (x, y) in enumerate(state.anchors.tolist()):
         away = np.hypot(*(state.anchors - (x, y)).T)
-        turned = np.sqrt(np.maximum(np.diag(headings) + headings[number, number] - 2.0 * headings[number], _ALIKE**2))
+        turned = np.sqrt(
+            np.maximum(
+                np.diag(headings) + headings[number, number] - 2.0 * headings[number], _ALIKE**2
+            )
+        )
         weights = np.repeat(1.0 / ((_AROUND + away) * turned), 2)
         by_motion = lines_moved_with((x, y), state.lines, state.anchors)
-        motions[number] = np.linalg.lstsq(by_motion * weights[:, None], changes * weights, rcond=_LEAST_SEEN)[0]
+        motions[number] = np.linalg.lstsq(
+            by_motion * weights[:, None], changes * weights, rcond=_LEAST_SEEN
+        )[0]
     return motions
 
 
 def _about_moved_anchors(along: FloatArray) -> FloatArray:
-    """Derivative (3 + 2 m, 3 + 2 m) of a state by the same state about anchors that lie back by distances (m,), m."""
+    """Derivative (3 + 2 m, 3 + 2 m) of a state by the same state about anchors that lie back by
+    distances (m,), m.
+    """
     by_state = np.eye(POSE + 2 * len(along))
     lines = POSE + 2 * np.arange(len(along))
     by_state[lines, lines + 1] = -along
@@ -145,15 +182,21 @@ def _about_moved_anchors(along: FloatArray) -> FloatArray:
 
 
 def poses_moved_with(place: tuple[float, float], poses: FloatArray) -> FloatArray:
-    """Derivative (3 n, 3) of poses (n, 3) by a rigid motion of the world that moves a pose at a place, m."""
+    """Derivative (3 n, 3) of poses (n, 3) by a rigid motion of the world that moves a pose at a
+    place, m.
+    """
     by_pose = np.zeros((len(poses), POSE, POSE))
     by_pose[:] = np.eye(POSE)
     by_pose[:, 0, 2], by_pose[:, 1, 2] = place[1] - poses[:, 1], poses[:, 0] - place[0]
     return by_pose.reshape(-1, POSE)
 
 
-def lines_moved_with(place: tuple[float, float], lines: FloatArray, anchors: FloatArray) -> FloatArray:
-    """Derivative (2 n, 3) of lines (n, 2) about anchors (n, 2), as of the poses in :func:`poses_moved_with`."""
+def lines_moved_with(
+    place: tuple[float, float], lines: FloatArray, anchors: FloatArray
+) -> FloatArray:
+    """Derivative (2 n, 3) of lines (n, 2) about anchors (n, 2), as of the poses in
+    :func:`poses_moved_with`.
+    """
     by_line, (x, y) = np.zeros((len(lines), 2, POSE)), place
     cos, sin, (anchor_x, anchor_y) = np.cos(lines[:, 1]), np.sin(lines[:, 1]), anchors.T
     by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)

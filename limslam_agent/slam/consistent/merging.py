@@ -1,4 +1,5 @@
-"""Landmarks that are one wall: when two of them are merged, and the geometry that the decisions of a step share.
+"""Landmarks that are one wall: when two of them are merged, and the geometry that the decisions of
+a step share.
 
 These functions are plain, as those of ``association`` are.
 """
@@ -9,7 +10,14 @@ from typing import TYPE_CHECKING
 from limslam_agent.kernels.extents import merge_walls
 from limslam_agent.kernels.tables import NUMBER, Filter, Walls
 from limslam_agent.slam.consistent import limits
-from limslam_agent.slam.consistent.clone_filter import anchor_of, difference, line_of, lines_near, merge, num_lines
+from limslam_agent.slam.consistent.clone_filter import (
+    anchor_of,
+    difference,
+    line_of,
+    lines_near,
+    merge,
+    num_lines,
+)
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import FloatArray
 
@@ -27,7 +35,8 @@ def close_loops_of(
         x, y = anchor_of(ekf, index)
         for other in lines_near(ekf, line_of(ekf, index)[1], x, y, 2.0 * limits.MAX_OFFSET):
             if other != index and closes_loop(ekf, walls, other, index, settings, listener):
-                # The younger landmark is removed. If that is this one, there is nothing left to compare.
+                # The younger landmark is removed. If that is this one, there is nothing left to
+                # compare.
                 if other < index:
                     return
                 found = True
@@ -35,7 +44,12 @@ def close_loops_of(
 
 
 def closes_loop(
-    ekf: Filter, walls: Walls, first: int, second: int, settings: StepSettings, listener: "StepReports | None"
+    ekf: Filter,
+    walls: Walls,
+    first: int,
+    second: int,
+    settings: StepSettings,
+    listener: "StepReports | None",
 ) -> bool:
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
     older, younger = min(first, second), max(first, second)
@@ -49,14 +63,19 @@ def closes_loop(
     return True
 
 
-def merge_landmarks(ekf: Filter, walls: Walls, older: int, younger: int, listener: "StepReports | None") -> None:
+def merge_landmarks(
+    ekf: Filter, walls: Walls, older: int, younger: int, listener: "StepReports | None"
+) -> None:
     """Merge two landmarks, and remove the younger one."""
     theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
     if listener is not None:
         off, covariance = difference(ekf, older, younger)
         numbers = walls.table[older, NUMBER], walls.table[younger, NUMBER]
         listener.merged(
-            numbers[0], numbers[1], squared_difference(off, covariance), separation(ekf, walls, older, younger)[1]
+            numbers[0],
+            numbers[1],
+            squared_difference(off, covariance),
+            separation(ekf, walls, older, younger)[1],
         )
     merge(ekf, older, younger, limits.ITERATIONS)
     factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
@@ -64,8 +83,14 @@ def merge_landmarks(ekf: Filter, walls: Walls, older: int, younger: int, listene
 
 
 def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[float, float]:
-    """Length, m, that two landmarks share along the older one, and the distance, m, of the younger's middle from it."""
-    (d, theta), (x, y), middle = line_of(ekf, younger), anchor_of(ekf, younger), 0.5 * walls.ends[younger].sum()
+    """Length, m, that two landmarks share along the older one, and the distance, m, of the
+    younger's middle from it.
+    """
+    (d, theta), (x, y), middle = (
+        line_of(ekf, younger),
+        anchor_of(ekf, younger),
+        0.5 * walls.ends[younger].sum(),
+    )
     cos, sin = math.cos(theta), math.sin(theta)
     x, y, low, high = x + d * cos, y + d * sin, walls.ends[younger, 0], walls.ends[younger, 1]
     one = along_point(ekf, older, x - low * sin, y + low * cos)
@@ -77,8 +102,14 @@ def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[flo
 
 
 def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
-    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
-    a, b, c = covariance[0, 0] + limits.STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + limits.STRAIGHTNESS[1]
+    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its
+    covariance (2, 2).
+    """
+    a, b, c = (
+        covariance[0, 0] + limits.STRAIGHTNESS[0],
+        covariance[0, 1],
+        covariance[1, 1] + limits.STRAIGHTNESS[1],
+    )
     return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
 
 

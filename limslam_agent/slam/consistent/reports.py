@@ -1,4 +1,6 @@
-"""Tells an estimator's listeners what a step decides: lines found, landmarks compared, updated and merged."""
+"""Tells an estimator's listeners what a step decides: lines found, landmarks compared, updated and
+merged.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -7,7 +9,13 @@ import numpy as np
 from limslam_agent.kernels.tables import NUMBER, THETA
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
 from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT
-from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
+from limslam_agent.slam.core.diagnostics import (
+    AssociationRecord,
+    CandidateTest,
+    Closure,
+    Comparison,
+    Extraction,
+)
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
@@ -23,19 +31,34 @@ class StepReports:
         self._estimator, self._robot, self._step = estimator, robot, step
 
     def extracted(self, row: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
-        """The lines (k, 2) with their ends (k, 2, 2) that were found in the pending readings of a side."""
+        """The lines (k, 2) with their ends (k, 2, 2) that were found in the pending readings of a
+        side.
+        """
         estimator, side = self._estimator, SIDES[row % len(SIDES)]
         estimator.last_extraction = Extraction(
-            self._robot, side, self._step, estimator.poses[self._robot], points, lines, ends, is_in_world=True
-        )  # fmt: skip
+            self._robot,
+            side,
+            self._step,
+            estimator.poses[self._robot],
+            points,
+            lines,
+            ends,
+            is_in_world=True,
+        )
 
     def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:
-        """A piece's rows of ``pending`` and the residuals of its readings, before anything is decided about it."""
+        """A piece's rows of ``pending`` and the residuals of its readings, before anything is
+        decided about it.
+        """
         self._sources, is_clear = waiting[:, [TAKEN_AT, BEAM]].astype(int), np.isfinite(residuals)
         self._residuals, self._ranges = residuals[is_clear], waiting[is_clear, RANGE]
 
-    def compared(self, piece: "Piece", squared: FloatArray, landmarks: IntArray, gate: float) -> None:
-        """Chi-squares (k,) and indices (k,) of the landmarks that the piece was compared with, and the gate."""
+    def compared(
+        self, piece: "Piece", squared: FloatArray, landmarks: IntArray, gate: float
+    ) -> None:
+        """Chi-squares (k,) and indices (k,) of the landmarks that the piece was compared with, and
+        the gate.
+        """
         listener = self._estimator.on_comparison
         if listener is None:
             return
@@ -53,11 +76,17 @@ class StepReports:
     def updated(self, number: int, is_new: bool) -> None:
         """The piece has corrected a landmark."""
         self._estimator.count_residuals(self._residuals, self._ranges)
-        self._estimator.report(AssociationRecord(int(number), bool(is_new), self._sources, self._robot))
+        self._estimator.report(
+            AssociationRecord(int(number), bool(is_new), self._sources, self._robot)
+        )
 
     def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
-        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
-        self._estimator.closures.append(Closure(int(older), int(younger), self._step, squared, 0.0, offset, 0.0))
+        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their
+        offset, m.
+        """
+        self._estimator.closures.append(
+            Closure(int(older), int(younger), self._step, squared, 0.0, offset, 0.0)
+        )
 
     def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
@@ -65,9 +94,16 @@ class StepReports:
         line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
         offset = abs(float((middle - belief.anchors[index]) @ normal(line) - line[0]))
-        along, (low, high) = (piece.points - belief.anchors[index]) @ direction(line), walls.ends[index].tolist()
+        along, (low, high) = (
+            (piece.points - belief.anchors[index]) @ direction(line),
+            walls.ends[index].tolist(),
+        )
         gap = max(float(along.min()) - high, low - float(along.max()))
-        tests = {"direction": angle > MAX_ANGLE, "offset": offset > MAX_OFFSET, "ends": gap > MAX_END_GAP}
+        tests = {
+            "direction": angle > MAX_ANGLE,
+            "offset": offset > MAX_OFFSET,
+            "ends": gap > MAX_END_GAP,
+        }
         excluded = next((name for name, is_out in tests.items() if is_out), "beams")
         if not np.isnan(squared):
             excluded = "gate" if squared > gate else ""

@@ -1,12 +1,13 @@
 """Constant errors of odometry and ranges, estimated beside a filter that takes them to be zero.
 
-A filter with these errors in its state estimates them from the first step, and a robot that is as specified pays for
-that: a regression on noisy odometry is not exact. Here the filter does not know of the errors. Beside its state x and
-covariance P stands the derivative V of x by the errors b, which each prediction and update of the filter changes by a
-known linear map. The innovations then give the estimate of b, and x + V b with the covariance P + V M V^T, where M is
-the covariance of b, is what the filter with b in its state would have estimated (B. Friedland, "Treatment of bias in
-recursive filtering", 1969). So the filter can wait with its decision until the data require the errors, and lose
-nothing.
+A filter with these errors in its state estimates them from the first step, and a robot that is as
+specified pays for that: a regression on noisy odometry is not exact. Here the filter does not know
+of the errors. Beside its state x and covariance P stands the derivative V of x by the errors b,
+which each prediction and update of the filter changes by a known linear map. The innovations then
+give the estimate of b, and x + V b with the covariance P + V M V^T, where M is the covariance of b,
+is what the filter with b in its state would have estimated (B. Friedland, "Treatment of bias in
+recursive filtering", 1969). So the filter can wait with its decision until the data require the
+errors, and lose nothing.
 """
 
 from typing import Any
@@ -19,7 +20,9 @@ from limslam_env.geometry.line import angle_between
 
 
 class SeparateBias:
-    """Constant errors b with a prior covariance (k, k) about zero: what the innovations of a filter say of them."""
+    """Constant errors b with a prior covariance (k, k) about zero: what the innovations of a filter
+    say of them.
+    """
 
     def __init__(self, prior: FloatArray) -> None:
         self._prior, count = prior, len(prior)
@@ -42,20 +45,24 @@ class SeparateBias:
         return gain - float(np.linalg.slogdet(narrowed)[1])
 
     def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
-        """The filter was updated by measurements: derivative (m, k) by the errors, and innovation (m,), whitened."""
+        """The filter was updated by measurements: derivative (m, k) by the errors, and innovation
+        (m,), whitened.
+        """
         self._information += by_errors.T @ by_errors
         self._score += by_errors.T @ innovation
 
 
 class OdometryErrors(SeparateBias):
-    """The constant errors of the odometry of n robots, three numbers each, with a prior covariance (3, 3) about zero.
+    """The constant errors of the odometry of n robots, three numbers each, with a prior covariance
+    (3, 3) about zero.
 
     Attributes
     ----------
     evidence
-        Twice the logarithm of the Bayes factor for errors of one robot against no errors, for the worst robot. It is
-        the gain in chi-square by the errors, less what three more parameters gain by chance (R. Kass and A. Raftery,
-        "Bayes factors", 1995). If there are no errors, it ever exceeds g with a probability of at most exp(-g / 2).
+        Twice the logarithm of the Bayes factor for errors of one robot against no errors, for the
+        worst robot. It is the gain in chi-square by the errors, less what three more parameters
+        gain by chance (R. Kass and A. Raftery, "Bayes factors", 1995). If there are no errors, it
+        ever exceeds g with a probability of at most exp(-g / 2).
     """
 
     def __init__(self, robots: int, prior: FloatArray) -> None:
@@ -65,7 +72,10 @@ class OdometryErrors(SeparateBias):
     def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
         """The filter was updated; see the base class."""
         super().learn(by_errors, innovation)
-        self.evidence = max(self.evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
+        self.evidence = max(
+            self.evidence_of(slice(first, first + POSE))
+            for first in range(0, len(self._score), POSE)
+        )
 
 
 COMMON, TURNS = slice(0, 3), slice(3, None)
@@ -78,9 +88,9 @@ LENGTHS, DELAY = slice(0, 2), 2
 class RangeErrors(SeparateBias):
     """Constant errors of the ranges.
 
-    The first three are a bias of all ranges, m, by what half the opening angle exceeds the assumed one, rad, and by
-    how many steps the ranges are later than the wheels. The others are by what each beam is turned to the left, rad, if
-    that is estimated.
+    The first three are a bias of all ranges, m, by what half the opening angle exceeds the assumed
+    one, rad, and by how many steps the ranges are later than the wheels. The others are by what
+    each beam is turned to the left, rad, if that is estimated.
 
     Parameters
     ----------
@@ -95,7 +105,9 @@ class RangeErrors(SeparateBias):
         self._earlier = np.zeros_like(self._information), np.zeros_like(self._score)
 
     def corrected(self, errors: FloatArray) -> "RangeErrors":
-        """The further errors after the state was corrected for the first of the errors (m,), which begin anew."""
+        """The further errors after the state was corrected for the first of the errors (m,), which
+        begin anew.
+        """
         further, (information, score) = RangeErrors(self.stds), self._earlier
         information = information + self._information
         further._earlier = information, score + self._score - information[:, : len(errors)] @ errors
@@ -107,7 +119,9 @@ class RangeErrors(SeparateBias):
 
         Each is compared with the other one alone, so that none is taken for the other one.
         """
-        return self.evidence_of(LENGTHS) - np.array([self.evidence_of(np.array([other])) for other in (1, 0)])
+        return self.evidence_of(LENGTHS) - np.array(
+            [self.evidence_of(np.array([other])) for other in (1, 0)]
+        )
 
     @property
     def delay_evidence(self) -> float:
@@ -116,15 +130,19 @@ class RangeErrors(SeparateBias):
 
     @property
     def turns(self) -> FloatArray:
-        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that is not estimated.
+        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that
+        is not estimated.
 
-        It is known by all readings, also by those from before a correction, and other errors are unknown beside it.
+        It is known by all readings, also by those from before a correction, and other errors are
+        unknown beside it.
         """
         errors, covariance = self._estimate_of_all
         return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
 
     def discounted(self, share: float) -> "RangeErrors":
-        """What is known of the errors if each reading says only a share of what it was taken to say."""
+        """What is known of the errors if each reading says only a share of what it was taken to
+        say.
+        """
         other = RangeErrors(self.stds)
         other._information, other._score = share * self._information, share * self._score
         return other
@@ -136,13 +154,17 @@ class RangeErrors(SeparateBias):
 
     @property
     def _estimate_of_all(self) -> tuple[FloatArray, FloatArray]:
-        """The errors (k,) and their covariance (k, k) by all readings, also by those from before a correction."""
+        """The errors (k,) and their covariance (k, k) by all readings, also by those from before a
+        correction.
+        """
         information, score = self._earlier[0] + self._information, self._earlier[1] + self._score
         return _estimated(self._prior, information, score)
 
     @property
     def turn_gain(self) -> float:
-        """By how much the estimated directions of the beams lower chi-square, those of the prior included."""
+        """By how much the estimated directions of the beams lower chi-square, those of the prior
+        included.
+        """
         turns, covariance = self.estimate_of(TURNS)
         return float(turns @ np.linalg.solve(covariance, turns))
 
@@ -150,14 +172,17 @@ class RangeErrors(SeparateBias):
     def turn_evidence(self) -> float:
         """Twice the logarithm of the Bayes factor for turned beams.
 
-        It is the smaller one of two: turned beams against none, and turned beams beside a bias and another opening
-        angle against these alone.
+        It is the smaller one of two: turned beams against none, and turned beams beside a bias and
+        another opening angle against these alone.
         """
-        return min(self.evidence_of(TURNS), self.evidence_of(slice(None)) - self.evidence_of(COMMON))
+        return min(
+            self.evidence_of(TURNS), self.evidence_of(slice(None)) - self.evidence_of(COMMON)
+        )
 
 
 class ConstantErrors:
-    """The constant errors that a filter does not know of. Columns of V are those of the odometry, then of the ranges.
+    """The constant errors that a filter does not know of. Columns of V are those of the odometry,
+    then of the ranges.
 
     Attributes
     ----------
@@ -183,22 +208,32 @@ class ConstantErrors:
 
 
 def note_update(
-    ekf: Any, jacobian: FloatArray, columns: IntArray, innovation: FloatArray, factor: FloatArray,
-    whitened: FloatArray, moved: FloatArray, moved_again: FloatArray, direct: FloatArray | None,
-) -> None:  # fmt: skip
-    """Change V as an update of a ``Filter`` by m measurements has changed its state, and estimate the errors anew.
+    ekf: Any,
+    jacobian: FloatArray,
+    columns: IntArray,
+    innovation: FloatArray,
+    factor: FloatArray,
+    whitened: FloatArray,
+    moved: FloatArray,
+    moved_again: FloatArray,
+    direct: FloatArray | None,
+) -> None:
+    """Change V as an update of a ``Filter`` by m measurements has changed its state, and estimate
+    the errors anew.
 
     Parameters
     ----------
     jacobian, columns
         Derivative (m, n) of the measurements by these states (n,).
     innovation, factor, whitened
-        The innovation (m,), the Cholesky factor L (m, m) of its covariance, and L^-1 H P (m, size) by all states.
+        The innovation (m,), the Cholesky factor L (m, m) of its covariance, and L^-1 H P (m, size)
+        by all states.
     moved, moved_again
-        The error of the first robot's pose was added to the state's error with these factors (size, 3), before and
-        after the update.
+        The error of the first robot's pose was added to the state's error with these factors (size,
+        3), before and after the update.
     direct
-        Derivative (m, k) of the measurements by the last k errors at a given state, if there is one.
+        Derivative (m, k) of the measurements by the last k errors at a given state, if there is
+        one.
 
     Raises
     ------
@@ -221,19 +256,30 @@ def note_update(
 
 
 def note_readings(
-    ekf: Any, found: tuple[Any, ...], moved_again: FloatArray, places: IntArray, readings: FloatArray, theta: float,
+    ekf: Any,
+    found: tuple[Any, ...],
+    moved_again: FloatArray,
+    places: IntArray,
+    readings: FloatArray,
+    theta: float,
     clones_from: int,
-) -> None:  # fmt: skip
-    """The same after what ``kernels.updates.update_by_readings`` has found for a line, whose normal is at ``theta``."""
+) -> None:
+    """The same after what ``kernels.updates.update_by_readings`` has found for a line, whose normal
+    is at ``theta``.
+    """
     moved, _, expected, jacobian, columns, factor, whitened, innovation, chosen = found
     direct, ranges = None, ekf.errors.ranges
     if ranges is not None:
         headings = ekf.x[clones_from + POSE * places[chosen] + 2]
-        direct = by_range_errors(expected, readings[chosen], headings, theta, len(ranges.stds[TURNS]))
+        direct = by_range_errors(
+            expected, readings[chosen], headings, theta, len(ranges.stds[TURNS])
+        )
     note_update(ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct)
 
 
-def _estimated(prior: FloatArray, information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _estimated(
+    prior: FloatArray, information: FloatArray, score: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Errors (k,) and their covariance (k, k), from the prior covariance, information and score."""
     covariance = prior @ np.linalg.inv(np.eye(len(prior)) + information @ prior)
     return covariance @ score, 0.5 * (covariance + covariance.T)
@@ -242,15 +288,16 @@ def _estimated(prior: FloatArray, information: FloatArray, score: FloatArray) ->
 def by_range_errors(
     expected: FloatArray, readings: FloatArray, headings: FloatArray, theta: float, beams: int
 ) -> FloatArray:
-    """Derivatives (n, 3 + beams) of predicted ranges by the errors of ``RangeErrors``, at a given state.
+    """Derivatives (n, 3 + beams) of predicted ranges by the errors of ``RangeErrors``, at a given
+    state.
 
-    The delay acts by the poses of the clones alone. At the angle phi to the normal, a beam reads r tan(phi) more for
-    each radian that it is turned away from the normal. A wider cone reads the wall under a ray that is nearer to the
-    perpendicular, and so a shorter range.
+    The delay acts by the poses of the clones alone. At the angle phi to the normal, a beam reads r
+    tan(phi) more for each radian that it is turned away from the normal. A wider cone reads the
+    wall under a ray that is nearer to the perpendicular, and so a shorter range.
 
-    ``expected`` (n, 7) is what ``kernels.measurement.predict_ranges`` fills for the readings (n, 6), which were taken
-    with these headings (n,), rad, of a line with its normal at ``theta``, rad. ``beams`` is 0 if directions are not
-    estimated.
+    ``expected`` (n, 7) is what ``kernels.measurement.predict_ranges`` fills for the readings (n,
+    6), which were taken with these headings (n,), rad, of a line with its normal at ``theta``, rad.
+    ``beams`` is 0 if directions are not estimated.
     """
     cosines = np.maximum(np.abs(expected[:, 6]), LEAST_DIVISOR)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))

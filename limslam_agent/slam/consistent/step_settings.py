@@ -1,4 +1,6 @@
-"""The numbers that a step of the consistent estimator needs, as plain and compiled functions read them."""
+"""The numbers that a step of the consistent estimator needs, as plain and compiled functions read
+them.
+"""
 
 from typing import NamedTuple
 
@@ -19,10 +21,11 @@ class StepSettings(NamedTuple):
     gate, closes_loops
         Of ``WallAssociationConfig``, and whether landmarks are merged.
     new_length, new_readings
-        Least length of a new landmark, m, and its least number of readings for each metre of ``usual_std``.
+        Least length of a new landmark, m, and its least number of readings for each metre of
+        ``usual_std``.
     min_votes, theta_step, segment_length, only_best, r_step, near_line, segment_gap
-        Of ``HoughConfig``, for this sensor: the last three are the size of a bin of distances, the largest distance of
-        a point from its line, and the longest gap, m.
+        Of ``HoughConfig``, for this sensor: the last three are the size of a bin of distances, the
+        largest distance of a point from its line, and the longest gap, m.
     """
 
     std: float

@@ -1,4 +1,6 @@
-"""The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
+"""The landmarks of the consistent estimator, without their lines: extents, and numbers of
+readings.
+"""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -20,7 +22,12 @@ from limslam_agent.kernels.tables import (
     READINGS,
     empty_walls,
 )
-from limslam_agent.slam.consistent.limits import MAX_GAP, ONE_WALL_GATE, STRAIGHTNESS, THROUGH_TOLERANCE
+from limslam_agent.slam.consistent.limits import (
+    MAX_GAP,
+    ONE_WALL_GATE,
+    STRAIGHTNESS,
+    THROUGH_TOLERANCE,
+)
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
@@ -62,8 +69,8 @@ class WallExtent:
     def intervals(self, max_gap: float, tolerance: float) -> FloatArray:
         """Intervals (k, 2), m, in which there is wall.
 
-        A gap between two hits is drawn as wall up to ``max_gap``, m, if no beam has passed through it, and up to
-        ``tolerance`` beams may pass through a bin for each beam that ended in it.
+        A gap between two hits is drawn as wall up to ``max_gap``, m, if no beam has passed through
+        it, and up to ``tolerance`` beams may pass through a bin for each beam that ended in it.
         """
         hits, misses, (least, most) = self.counted[HITS], self.counted[MISSES], self.reached
         is_wall = (hits > 0) & (misses <= tolerance * hits)
@@ -91,7 +98,8 @@ class Wall:
     groups, readings
         Number of updates by a wall segment, and of readings in them.
     known_as
-        Number of the landmark that a ``NEW`` one was recognised as while it was seen; ``NEW`` if none.
+        Number of the landmark that a ``NEW`` one was recognised as while it was seen; ``NEW`` if
+        none.
     """
 
     number: int
@@ -102,7 +110,9 @@ class Wall:
 
     @property
     def is_wall(self) -> bool:
-        """Whether there is a place along the landmark where beams have ended and at most as many have passed."""
+        """Whether there is a place along the landmark where beams have ended and at most as many
+        have passed.
+        """
         return bool(len(self.extent.intervals(MAX_GAP, THROUGH_TOLERANCE)))
 
 
@@ -126,7 +136,11 @@ class WallMap:
         self._belief, self._config = belief, config
         self.arrays = empty_walls(_LANDMARKS, _BINS)
         self._intervals: dict[int, tuple[int, FloatArray]] = {}
-        self._drawn: tuple[bytes, FloatArray, IntArray] = (b"", np.zeros((0, 4)), np.zeros(0, dtype=int))
+        self._drawn: tuple[bytes, FloatArray, IntArray] = (
+            b"",
+            np.zeros((0, 4)),
+            np.zeros(0, dtype=int),
+        )
 
     def __len__(self) -> int:
         return self._belief.num_lines
@@ -168,7 +182,9 @@ class WallMap:
         ]
 
     def up_to_date(self, walls: list[Wall]) -> list[Wall]:
-        """Landmarks of an earlier moment with what all beams until now say of them, if they still exist."""
+        """Landmarks of an earlier moment with what all beams until now say of them, if they still
+        exist.
+        """
         present = {wall.number: wall for wall in self.walls}
         return [replace(wall, extent=present.get(wall.number, wall).extent) for wall in walls]
 
@@ -187,7 +203,10 @@ class WallMap:
                 number += 1
             own = new[-1] if wall.number == NEW else wall.number
             self.arrays.table[index] = low, length, wall.groups, wall.readings, own, 0
-            self.arrays.counted[index, :, :length], self.arrays.ends[index] = extent.counted, extent.ends
+            self.arrays.counted[index, :, :length], self.arrays.ends[index] = (
+                extent.counted,
+                extent.ends,
+            )
             self.arrays.reached[index, :, :length] = extent.reached
         self.arrays.tally[NEXT_NUMBER], self._intervals = number, {}
         self._drawn = (b"outdated", *self._drawn[1:])
@@ -195,13 +214,16 @@ class WallMap:
 
     def along(self, index: int, points: FloatArray) -> FloatArray:
         """Positions (...) of points (..., 2) along a landmark, m from its anchor."""
-        return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.line(index)))
+        return np.asarray(
+            (points - self._belief.anchors[index]) @ direction(self._belief.line(index))
+        )
 
     def agreeing(self, pairs: list[tuple[int, int]]) -> list[int]:
         """Which pairs of landmarks may all be one wall each, of pairs that are likely to be.
 
-        Each of them must agree with all others: the pair that they contradict most is left out, until the squared
-        Mahalanobis distance of each pair, given that the others are equal, is at most ``ONE_WALL_GATE``.
+        Each of them must agree with all others: the pair that they contradict most is left out,
+        until the squared Mahalanobis distance of each pair, given that the others are equal, is at
+        most ``ONE_WALL_GATE``.
         """
         off, covariance = self._belief.differences(pairs)
         covariance += np.diag(np.tile(STRAIGHTNESS, len(pairs)))
@@ -219,7 +241,9 @@ class WallMap:
 
     def ends(self, index: int) -> FloatArray:
         """The outermost points (2, 2) of a landmark, m."""
-        return np.asarray(self._belief.anchors[index] + at(self._belief.line(index), self.arrays.ends[index]))
+        return np.asarray(
+            self._belief.anchors[index] + at(self._belief.line(index), self.arrays.ends[index])
+        )
 
     @property
     def segments(self) -> FloatArray:
@@ -242,15 +266,22 @@ class WallMap:
         lines = self._belief.lines
         return [
             Landmark(
-                float(lines[index, 0]), float(lines[index, 1]), self._belief.line_covariance(index), self.ends(index),
-                int(row[GROUPS]), int(row[NUMBER]),
+                float(lines[index, 0]),
+                float(lines[index, 1]),
+                self._belief.line_covariance(index),
+                self.ends(index),
+                int(row[GROUPS]),
+                int(row[NUMBER]),
             )
             for index, row in enumerate(self.arrays.table[: len(self)])
-        ]  # fmt: skip
+        ]
 
     def _extent(self, index: int) -> WallExtent:
         low, length = self.arrays.table[index, [LOW, LENGTH]].tolist()
-        counted, reached = self.arrays.counted[index, :, :length], self.arrays.reached[index, :, :length]
+        counted, reached = (
+            self.arrays.counted[index, :, :length],
+            self.arrays.reached[index, :, :length],
+        )
         return WallExtent(low, counted.copy(), reached.copy())
 
     @property
@@ -261,10 +292,15 @@ class WallMap:
     def _wall_intervals(self) -> list[FloatArray]:
         """Where along each landmark there is wall (k, 2), m; kept until the landmark changes."""
         found = []
-        for index, (number, changes) in enumerate(self.arrays.table[: len(self), [NUMBER, CHANGES]].tolist()):
+        for index, (number, changes) in enumerate(
+            self.arrays.table[: len(self), [NUMBER, CHANGES]].tolist()
+        ):
             known = self._intervals.get(number)
             if known is None or known[0] != changes:
-                known = self._intervals[number] = changes, self._extent(index).intervals(MAX_GAP, THROUGH_TOLERANCE)
+                known = self._intervals[number] = (
+                    changes,
+                    self._extent(index).intervals(MAX_GAP, THROUGH_TOLERANCE),
+                )
             found.append(known[1])
         return found
 
@@ -277,8 +313,14 @@ class WallMap:
         if self._drawn[0] != key:
             pieces = self._wall_intervals()
             owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
-            along, lines = np.concatenate((np.zeros((0, 2)), *pieces)), self._belief.anchored[owners]
-            anchors, (cos, sin) = self._belief.anchors[owners], (np.cos(lines[:, 1:]), np.sin(lines[:, 1:]))
+            along, lines = (
+                np.concatenate((np.zeros((0, 2)), *pieces)),
+                self._belief.anchored[owners],
+            )
+            anchors, (cos, sin) = (
+                self._belief.anchors[owners],
+                (np.cos(lines[:, 1:]), np.sin(lines[:, 1:])),
+            )
             points = np.empty((len(owners), 4))
             points[:, ::2] = anchors[:, :1] + (lines[:, :1] * cos - along * sin)
             points[:, 1::2] = anchors[:, 1:] + (lines[:, :1] * sin + along * cos)

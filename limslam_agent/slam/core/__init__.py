@@ -1,1 +1,3 @@
-"""What the estimators share: motion, readings, lines and their fits; and the Kalman filter of the published method."""
+"""What the estimators share: motion, readings, lines and their fits; and the Kalman filter of the
+published method.
+"""

@@ -1,15 +1,16 @@
 """Contact with a wall, as the readings show it, and the slip of the wheels that it allows.
 
-A robot that touches a wall is held back, while its wheels go on turning. Its motion is then less certain than the noise
-of the encoders says. No bumper is needed to notice most contacts: a beam reads its minimum, and by the wheels the robot
-goes on towards what the beam sees.
+A robot that touches a wall is held back, while its wheels go on turning. Its motion is then less
+certain than the noise of the encoders says. No bumper is needed to notice most contacts: a beam
+reads its minimum, and by the wheels the robot goes on towards what the beam sees.
 
-Let a be the distance that a robot should have driven along a beam since that beam first read its minimum m. The surface
-was u away then, between 0 and m, and what exceeds u is slip. The mean square of max(a - u, 0) is
-(a^3 - max(a - m, 0)^3) / (3 m).
+Let a be the distance that a robot should have driven along a beam since that beam first read its
+minimum m. The surface was u away then, between 0 and m, and what exceeds u is slip. The mean square
+of max(a - u, 0) is (a^3 - max(a - m, 0)^3) / (3 m).
 
-Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
-quarters of the body's radius say nothing about contact. The row "bumping" of the scoreboard feels the numbers below.
+Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum
+exceeds three quarters of the body's radius say nothing about contact. The row "bumping" of the
+scoreboard feels the numbers below.
 """
 
 import math
@@ -26,17 +27,24 @@ NEAR = 0.75
 """A beam shows contact if its minimum is at most this share of the body's radius."""
 
 LEAST_SLIP = 0.005
-"""Slip counts from this root mean square on, m. Less than that follows from noise of the readings near a wall."""
+"""Slip counts from this root mean square on, m. Less than that follows from noise of the readings
+near a wall.
+"""
 
 LASTING = 2.0
-"""A contact lasts until the beam reads more than its minimum by this number of standard deviations."""
+"""A contact lasts until the beam reads more than its minimum by this number of standard
+deviations.
+"""
 
 LONGEST = 1.0
-"""No contact holds a robot back for longer than this distance by the wheels, m. A beam that still reads its minimum
-then is broken or covered, or its driver reports 0 where it sees nothing."""
+"""No contact holds a robot back for longer than this distance by the wheels, m. A beam that still
+reads its minimum then is broken or covered, or its driver reports 0 where it sees nothing.
+"""
 
 ALONG, ACROSS = 0.8, 0.2
-"""Shares of the slip's variance along the beam and across it: the surface's normal is within some 45 degrees of it."""
+"""Shares of the slip's variance along the beam and across it: the surface's normal is within some
+45 degrees of it.
+"""
 
 TURN = 0.5
 """Standard deviation of the heading's slip for each metre of slip, rad/m."""
@@ -52,17 +60,20 @@ def slip(
     radius: float,
     std: float,
 ) -> tuple[float, float]:
-    """How much of the wheels' travel may have been slip by contact: a variance, m^2, and the angle of the beam, rad.
+    """How much of the wheels' travel may have been slip by contact: a variance, m^2, and the angle
+    of the beam, rad.
 
-    Plain numbers and loops, because the batch compiles the same function. The variance is 0 without contact.
+    Plain numbers and loops, because the batch compiles the same function. The variance is 0 without
+    contact.
 
     Parameters
     ----------
     memory
-        Is changed: for each beam the distance along it since it first read its minimum, m, -1 where it does not.
+        Is changed: for each beam the distance along it since it first read its minimum, m, -1 where
+        it does not.
     ranges, measured, angles, too_near
-        Readings (n_beams,), m, which of them are new, directions of the beams, rad, and readings up to which something
-        is near, m.
+        Readings (n_beams,), m, which of them are new, directions of the beams, rad, and readings up
+        to which something is near, m.
     ahead
         Distance by the wheels in this step, m; negative backwards.
     radius, std
@@ -93,7 +104,9 @@ def slip(
 
 
 def slip_covariance(variance: float, angle: float) -> FloatArray:
-    """Covariance (3, 3) of a pose increment, m and rad, by slip of this variance, m^2, at a beam's angle, rad."""
+    """Covariance (3, 3) of a pose increment, m and rad, by slip of this variance, m^2, at a beam's
+    angle, rad.
+    """
     cos, sin = math.cos(angle), math.sin(angle)
     covariance = np.zeros((3, 3))
     covariance[0, 0] = variance * (ALONG * cos * cos + ACROSS * sin * sin)
@@ -116,8 +129,15 @@ class Contacts:
         """:func:`slip` in the next step."""
         robot = self._robot
         return slip(
-            self._memory, ranges, measured, ahead, robot.beam_angles, robot.too_near, robot.radius, self._std
-        )  # fmt: skip
+            self._memory,
+            ranges,
+            measured,
+            ahead,
+            robot.beam_angles,
+            robot.too_near,
+            robot.radius,
+            self._std,
+        )
 
     def loosened(self, motion: Motion, ranges: FloatArray, measured: BoolArray) -> Motion:
         """The motion of the next step, with the slip that its readings allow in its covariance."""
@@ -132,17 +152,23 @@ def slip_covariances(
 ) -> FloatArray:
     """Covariances (n, t, 3, 3) of the slip by contact in the motions of a drive of n robots, m^2.
 
-    They are of left and right wheel's travel and of the motion aside. The wheels travel (n, t, 2), m. The readings (t +
-    1, n, n_beams), m, of which some were ``measured``, begin before the first motion, and ``std`` is the standard
-    deviation of a range, m.
+    They are of left and right wheel's travel and of the motion aside. The wheels travel (n, t, 2),
+    m. The readings (t + 1, n, n_beams), m, of which some were ``measured``, begin before the first
+    motion, and ``std`` is the standard deviation of a range, m.
     """
-    by_increment = np.array([[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]])
+    by_increment = np.array(
+        [[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]]
+    )
     found = np.zeros((*wheels.shape[:2], 3, 3))
     for number in np.flatnonzero((measured & (ranges <= robot.too_near)).any(axis=(0, 2))).tolist():
         contacts = Contacts(robot, std)
         contacts.slip(0.0, ranges[0, number], measured[0, number])
         for motion, ahead in enumerate(wheels[number].mean(axis=1).tolist()):
-            variance, angle = contacts.slip(ahead, ranges[motion + 1, number], measured[motion + 1, number])
+            variance, angle = contacts.slip(
+                ahead, ranges[motion + 1, number], measured[motion + 1, number]
+            )
             if variance:
-                found[number, motion] = by_increment @ slip_covariance(variance, angle) @ by_increment.T
+                found[number, motion] = (
+                    by_increment @ slip_covariance(variance, angle) @ by_increment.T
+                )
     return found

@@ -41,11 +41,13 @@ class CandidateTest:
     landmark
         Number of the landmark.
     excluded
-        The test that threw the landmark out: ``"direction"``, ``"offset"``, ``"ends"``, ``"range"``, ``"hidden"`` (the
-        beams cannot see it), ``"beams"`` (the readings cannot show it, for example because too few beams meet it at a
-        sufficient angle) or ``"gate"``. Empty if none did.
+        The test that threw the landmark out: ``"direction"``, ``"offset"``, ``"ends"``,
+        ``"range"``, ``"hidden"`` (the beams cannot see it), ``"beams"`` (the readings cannot show
+        it, for example because too few beams meet it at a sufficient angle) or ``"gate"``. Empty if
+        none did.
     angle, offset, gap
-        Difference of direction, rad, offset across the landmark, m, and gap along it, m. A negative gap is an overlap.
+        Difference of direction, rad, offset across the landmark, m, and gap along it, m. A negative
+        gap is an overlap.
     distance
         Squared Mahalanobis distance. NaN if the landmark was thrown out before.
     """
@@ -92,7 +94,8 @@ class Extraction:
     pose
         Estimated pose of the robot (3,), m, m, rad.
     scan, found, found_ends
-        The scan (n, 2), m, its lines (k, 2) as (r, theta), m and rad, and their end points (k, 2, 2), m.
+        The scan (n, 2), m, its lines (k, 2) as (r, theta), m and rad, and their end points (k, 2,
+        2), m.
     is_in_world
         Whether scan and lines are in the world, and not in the robot's frame.
     """
@@ -106,7 +109,8 @@ class Extraction:
     found_ends: FloatArray
     is_in_world: bool = False
 
-    # Most extractions are never looked at, so that they are taken into the robot's frame only when they are.
+    # Most extractions are never looked at, so that they are taken into the robot's frame only when
+    # they are.
     @cached_property
     def points(self) -> FloatArray:
         """The scan (n, 2), m, in the robot's frame."""
@@ -121,7 +125,11 @@ class Extraction:
     def ends(self) -> FloatArray:
         """The end points (k, 2, 2) of the lines in the robot's frame, m."""
         ends = self.found_ends
-        return transform_points(inverse(self.pose), ends.reshape(-1, 2)).reshape(-1, 2, 2) if self.is_in_world else ends
+        return (
+            transform_points(inverse(self.pose), ends.reshape(-1, 2)).reshape(-1, 2, 2)
+            if self.is_in_world
+            else ends
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +145,8 @@ class PendingPoints:
     enough
         Number of new points at which lines are extracted.
     new
-        Number of points that are new since the last extraction. None if no point outlives an extraction.
+        Number of points that are new since the last extraction. None if no point outlives an
+        extraction.
     """
 
     robot: int
@@ -158,7 +167,8 @@ class Closure:
     step
         Step of the closure.
     distance_before, distance_after
-        Squared Mahalanobis distance between the two, before and after the whole state was corrected.
+        Squared Mahalanobis distance between the two, before and after the whole state was
+        corrected.
     offset_before, offset_after
         Distance of the younger landmark's middle from the older one's line, before and after, m.
     """

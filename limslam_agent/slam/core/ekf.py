@@ -1,7 +1,9 @@
-"""Extended Kalman filter over the poses of robots and the lines that they share, with sparse Jacobians.
+"""Extended Kalman filter over the poses of robots and the lines that they share, with sparse
+Jacobians.
 
-State (the paper's eq. 1): x = [x, y, theta, ..., r_1, theta_1, ..., r_N, theta_N], one pose a robot, covariance P.
-Letters x, P, F, Q, H, R, S are those of the literature. They are used in the modules of the filters only.
+State (the paper's eq. 1): x = [x, y, theta, ..., r_1, theta_1, ..., r_N, theta_N], one pose a
+robot, covariance P. Letters x, P, F, Q, H, R, S are those of the literature. They are used in the
+modules of the filters only.
 """
 
 import math
@@ -13,24 +15,36 @@ from filterpy.kalman import ExtendedKalmanFilter
 
 from limslam_agent.kernels.tables import POSE
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import from_frame, from_frame_jacobians, nearest_form, to_frame, to_frame_jacobians
+from limslam_env.geometry.line import (
+    from_frame,
+    from_frame_jacobians,
+    nearest_form,
+    to_frame,
+    to_frame_jacobians,
+)
 from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
 
 
 class LineEKF(ExtendedKalmanFilter):
-    """filterpy's filter for a growing state of length n: O(n) for a prediction and O(n^2) for an update.
+    """filterpy's filter for a growing state of length n: O(n) for a prediction and O(n^2) for an
+    update.
 
-    A motion changes only the pose, and an observed line depends on five entries of the state. So ``F`` and ``Q`` hold
-    only the pose's (3, 3) block, ``update`` takes the non-zero columns of the Jacobian, and P changes in place by a
-    product of rank two. The result equals that of the dense filter. It starts at the pose (3,), or at those of several
-    robots (n, 3), with a covariance (3 n, 3 n) that is zero if left out.
+    A motion changes only the pose, and an observed line depends on five entries of the state. So
+    ``F`` and ``Q`` hold only the pose's (3, 3) block, ``update`` takes the non-zero columns of the
+    Jacobian, and P changes in place by a product of rank two. The result equals that of the dense
+    filter. It starts at the pose (3,), or at those of several robots (n, 3), with a covariance (3
+    n, 3 n) that is zero if left out.
     """
 
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
         super().__init__(dim_x=np.size(pose), dim_z=2)
         self.x = np.array(pose, dtype=float).ravel()
         self._first = len(self.x)  # where the poses end in the state, and the lines begin
-        self.P = np.zeros((self._first,) * 2) if covariance is None else np.array(covariance, dtype=float, order="C")
+        self.P = (
+            np.zeros((self._first,) * 2)
+            if covariance is None
+            else np.array(covariance, dtype=float, order="C")
+        )
 
     @property
     def num_lines(self) -> int:
@@ -53,7 +67,9 @@ class LineEKF(ExtendedKalmanFilter):
         return np.array(self.P[: self._first, : self._first])
 
     def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
-        """Put a robot at another pose (3,) with a covariance (3, 3), which is independent of all else."""
+        """Put a robot at another pose (3,) with a covariance (3, 3), which is independent of all
+        else.
+        """
         part = slice(POSE * robot, POSE * robot + POSE)
         self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
         self.P[part, part] = covariance
@@ -106,7 +122,8 @@ class LineEKF(ExtendedKalmanFilter):
         residual
             Difference of two measurements, for angles.
         columns
-            Indices (k,) in the state of all that the measurement depends on. The Jacobian's other columns are zero.
+            Indices (k,) in the state of all that the measurement depends on. The Jacobian's other
+            columns are zero.
         """
         H = HJacobian(self.x, *args)
         self.z, self.R = z, R
@@ -124,8 +141,11 @@ class LineEKF(ExtendedKalmanFilter):
         first, pose = self._first + 2 * index, POSE * robot
         return np.array([pose, pose + 1, pose + 2, first, first + 1])
 
-    def innovation(self, line: FloatArray, R: FloatArray, index: int, robot: int = 0) -> tuple[FloatArray, FloatArray]:
-        """Difference (2,) between an observed line and landmark ``index``, and its covariance (2, 2).
+    def innovation(
+        self, line: FloatArray, R: FloatArray, index: int, robot: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
+        """Difference (2,) between an observed line and landmark ``index``, and its covariance (2,
+        2).
 
         ``line`` is (r, theta) in the robot's frame with covariance ``R``. The covariance is that
         of observation and landmark together, the paper's Psi.
@@ -134,19 +154,28 @@ class LineEKF(ExtendedKalmanFilter):
         H = self._line_jacobian(self.x, columns)
         predicted = self._observed(self.x, columns)
         form = nearest_form(line, predicted)
-        return form - predicted, H @ self.P[np.ix_(columns, columns)] @ H.T + _in_form(R, line, form)
+        return form - predicted, H @ self.P[np.ix_(columns, columns)] @ H.T + _in_form(
+            R, line, form
+        )
 
     def observe_line(self, line: FloatArray, R: FloatArray, index: int, robot: int = 0) -> None:
         """Update by an observed line (r, theta) in a robot's frame that is landmark ``index``."""
         columns = self.columns_of(index, robot)
         form = nearest_form(line, self._observed(self.x, columns))
         self.update(
-            form, self._line_jacobian, self._observed, _in_form(R, line, form),
-            args=(columns,), hx_args=(columns,), columns=columns,
-        )  # fmt: skip
+            form,
+            self._line_jacobian,
+            self._observed,
+            _in_form(R, line, form),
+            args=(columns,),
+            hx_args=(columns,),
+            columns=columns,
+        )
 
     def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
-        """Difference (2,) of two landmarks in the younger's form, m and rad, and its covariance (2, 2)."""
+        """Difference (2,) of two landmarks in the younger's form, m and rad, and its covariance (2,
+        2).
+        """
         columns = np.concatenate((self.columns_of(older)[POSE:], self.columns_of(younger)[POSE:]))
         line, other = self.x[columns[:2]], self.x[columns[2:]]
         form = nearest_form(line, other)
@@ -154,14 +183,22 @@ class LineEKF(ExtendedKalmanFilter):
         return form - other, H @ self.P[np.ix_(columns, columns)] @ H.T
 
     def observe_landmark(self, older: int, younger: int) -> None:
-        """Update by the older of two landmarks as if it were an observation of the younger, as the paper does.
+        """Update by the older of two landmarks as if it were an observation of the younger, as the
+        paper does.
 
-        This ignores the correlation of the two landmarks and therefore counts shared information twice.
+        This ignores the correlation of the two landmarks and therefore counts shared information
+        twice.
         """
         line, R = self.lines[older], self.line_covariance(older)
         columns = self.columns_of(younger)[POSE:]
         form = nearest_form(line, self.x[columns])
-        self.update(form, lambda _: np.eye(2), lambda x: x[columns], _in_form(R, line, form), columns=columns)
+        self.update(
+            form,
+            lambda _: np.eye(2),
+            lambda x: x[columns],
+            _in_form(R, line, form),
+            columns=columns,
+        )
 
     def augment(self, line: FloatArray, R: FloatArray, robot: int = 0) -> int:
         """Add a new landmark, observed as ``line`` in a robot's frame, and return its index.
@@ -211,7 +248,8 @@ class LineEKF(ExtendedKalmanFilter):
 def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """``L^-1 HP`` (m, n) and ``L^-1 y`` (m,) with the Cholesky factor L of S (m, m).
 
-    Written without LAPACK: m is one or two, and the overhead of its calls would exceed the rest of an update.
+    Written without LAPACK: m is one or two, and the overhead of its calls would exceed the rest of
+    an update.
     """
     rows: list[list[float]] = S.tolist()
     L = [[0.0] * len(rows) for _ in rows]
@@ -230,7 +268,9 @@ def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, F
 
 
 def _in_form_jacobian(line: FloatArray, form: FloatArray) -> FloatArray:
-    """Derivative (2, 2) of a line's equivalent form (-r, theta + pi), or of the line itself, by the line."""
+    """Derivative (2, 2) of a line's equivalent form (-r, theta + pi), or of the line itself, by the
+    line.
+    """
     opposite = abs(wrap_angle(float(line[1] - form[1]))) > 0.5 * np.pi
     return np.diag([-1.0, 1.0]) if opposite else np.eye(2)
 

@@ -1,8 +1,9 @@
 """Ticks of encoders: what a wheel has travelled beyond its last tick is reported later.
 
-A pose that is the sum of all reports is off by parts of ticks, which do not add up from step to step. So this jitter is
-no noise of the motion, but is added to the covariance of each pose that readings were taken from, and of each that is
-reported. The tick need not be known beforehand, since all reported travels are multiples of it.
+A pose that is the sum of all reports is off by parts of ticks, which do not add up from step to
+step. So this jitter is no noise of the motion, but is added to the covariance of each pose that
+readings were taken from, and of each that is reported. The tick need not be known beforehand, since
+all reported travels are multiples of it.
 
 The functions are plain, and a batch compiles them.
 """
@@ -19,8 +20,8 @@ _FINEST = 1e-5  # m: travels are multiples of a tick if they are so to within th
 def tick_by(tick: float, travel: float) -> float:
     """The tick of an encoder, m: the greatest length of which all travels are multiples.
 
-    ``tick`` is the result for the travels before, at first 0, and ``travel`` is the next one, m. The tick is negative
-    while all travels were the same, since one travel says nothing of it.
+    ``tick`` is the result for the travels before, at first 0, and ``travel`` is the next one, m.
+    The tick is negative while all travels were the same, since one travel says nothing of it.
     """
     known, rest = abs(travel), abs(tick)
     if rest <= _FINEST or abs(known + tick) <= _FINEST:
@@ -45,7 +46,9 @@ def tick_variances(ticks: FloatArray) -> FloatArray:
 
 
 def jitter_of(ticks: FloatArray, axle: float) -> FloatArray:
-    """Covariance (3, 3) of a pose, in its frame, about the sum of what encoders with ticks (2,), m, have reported."""
+    """Covariance (3, 3) of a pose, in its frame, about the sum of what encoders with ticks (2,), m,
+    have reported.
+    """
     by_wheels = np.array([[0.5, 0.0, -1.0 / axle], [0.5, 0.0, 1.0 / axle]])
     return np.asarray(by_wheels.T @ (tick_variances(ticks).reshape(2, 1) * by_wheels))
 
@@ -59,7 +62,8 @@ def known_jitter(left: float, right: float, axle: float) -> FloatArray:
 
 
 def first_jitter(before: FloatArray, ticks: FloatArray, axle: float) -> FloatArray:
-    """Covariance (3, 3) to add to that of the motion in which ticks (2,) are found that were not ``before`` (2,).
+    """Covariance (3, 3) to add to that of the motion in which ticks (2,) are found that were not
+    ``before`` (2,).
 
     At its start, a robot does not know how far its wheels have been beyond a tick.
     """

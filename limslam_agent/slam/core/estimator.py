@@ -1,4 +1,6 @@
-"""The base class of the estimators: what a step of any of them does, and what they tell of poses and walls."""
+"""The base class of the estimators: what a step of any of them does, and what they tell of poses
+and walls.
+"""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -8,7 +10,13 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.kernels.tables import POSE, THROUGH_SIGMAS, THROUGH_SLACK
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import (
+    AssociationRecord,
+    Closure,
+    Comparison,
+    Extraction,
+    PendingPoints,
+)
 from limslam_agent.slam.core.encoder_ticks import first_jitter, known_jitter, tick_by
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
@@ -56,19 +64,24 @@ class Estimator:
         self._begin(sensor)
 
     def step(self, *observations: Observation) -> None:
-        """Process one observation of each robot: predict, drop beams that may have hit teammates, and use the others.
+        """Process one observation of each robot: predict, drop beams that may have hit teammates,
+        and use the others.
 
         Raises
         ------
         ValueError
-            If an observation has the wrong shape or reports no motion, or their number is not that of the robots.
+            If an observation has the wrong shape or reports no motion, or their number is not that
+            of the robots.
         """
         if len(observations) != len(self.robots):
             raise ValueError(f"{len(observations)} observations for {len(self.robots)} robots")
         # All observations are checked before any state changes.
         for front, observation in zip(self.robots, observations, strict=True):
             front.check(observation)
-        motions = [motion_of(seen, self.robot, self.config.noise, self.config.odometry) for seen in observations]
+        motions = [
+            motion_of(seen, self.robot, self.config.noise, self.config.odometry)
+            for seen in observations
+        ]
         self.increments = [motion.increment for motion in motions]
         for number, (front, observation) in enumerate(zip(self.robots, observations, strict=True)):
             motions[number] = self._jittering(number, motions[number], observation)
@@ -85,7 +98,11 @@ class Estimator:
         raise NotImplementedError
 
     def relocate(
-        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, ends: FloatArray | None = None
+        self,
+        pose: FloatArray,
+        covariance: FloatArray,
+        robot: int = 0,
+        ends: FloatArray | None = None,
     ) -> None:
         """Put a robot at another pose (3,).
 
@@ -98,9 +115,9 @@ class Estimator:
         robot
             Which robot is put there.
         ends
-            If a match has found the pose: where its readings end (n, 2), m. The covariance is then that of the match,
-            and the pose has the errors of the walls at these points, if the estimator can be renewed. Otherwise it is
-            independent of the map.
+            If a match has found the pose: where its readings end (n, 2), m. The covariance is then
+            that of the match, and the pose has the errors of the walls at these points, if the
+            estimator can be renewed. Otherwise it is independent of the map.
         """
         del ends
         self.finish()
@@ -110,7 +127,9 @@ class Estimator:
         """A copy that nothing listens to. Later steps of one of the two do not change the other."""
         # The robot, the settings and associations never change, so that copies can share them.
         shared = (self.robot, self.config, self.on_association, self.on_comparison)
-        known = {id(self.associations): self.associations.copy()} | {id(each): each for each in shared}
+        known = {id(self.associations): self.associations.copy()} | {
+            id(each): each for each in shared
+        }
         copied = copy.deepcopy(self, known)
         copied.on_association = copied.on_comparison = None
         return copied
@@ -136,7 +155,9 @@ class Estimator:
         joint, count = self.filter.joint_pose_covariance, len(self.robots)
         if count == 1:
             return np.asarray(joint[None])
-        return np.asarray(joint.reshape(count, POSE, count, POSE)[np.arange(count), :, np.arange(count)])
+        return np.asarray(
+            joint.reshape(count, POSE, count, POSE)[np.arange(count), :, np.arange(count)]
+        )
 
     @property
     def segments(self) -> FloatArray:
@@ -160,7 +181,9 @@ class Estimator:
 
     @property
     def association_limits(self) -> dict[str, float]:
-        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        """The limits that decide about associations and loops, for diagnostics to show beside the
+        values.
+        """
         raise NotImplementedError
 
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
@@ -172,21 +195,29 @@ class Estimator:
 
     @property
     def is_renewable(self) -> bool:
-        """Whether pose and map can be replaced: those of a single robot, by the consistent estimator."""
+        """Whether pose and map can be replaced: those of a single robot, by the consistent
+        estimator.
+        """
         return False
 
     @property
     def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
-        """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is not corrected."""
+        """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is
+        not corrected.
+        """
         return [None] * len(self.robots)
 
     @property
     def odometry_calibration(self) -> tuple[OdometryCalibration, FloatArray] | None:
-        """The first robot's odometry calibration and its covariance; None while its odometry is not corrected."""
+        """The first robot's odometry calibration and its covariance; None while its odometry is not
+        corrected.
+        """
         return self.odometry_calibrations[0]
 
     def learn_from(self, other: "Estimator") -> None:
-        """Take odometry and sensor to be from now on as the same robot has found them with another SLAM."""
+        """Take odometry and sensor to be from now on as the same robot has found them with another
+        SLAM.
+        """
         self.ticks[: len(other.ticks)] = other.ticks
         if other.sensor is not None and other.sensor != self.sensor:
             self.assume(other.sensor)
@@ -194,25 +225,32 @@ class Estimator:
             self.calibrate()
 
     def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
-        """Correct the odometry from now on, if it can be, by what the readings so far say of its constant errors.
+        """Correct the odometry from now on, if it can be, by what the readings so far say of its
+        constant errors.
 
-        Before the first step, the first robot can begin with a calibration and its covariance (3, 3) that an earlier
-        drive has found.
+        Before the first step, the first robot can begin with a calibration and its covariance (3,
+        3) that an earlier drive has found.
         """
 
     @property
     def sensor(self) -> RangeSensor | None:
-        """How the sensor measures, as specified or as the data require; None for the published estimator."""
+        """How the sensor measures, as specified or as the data require; None for the published
+        estimator.
+        """
         return None
 
     @property
     def range_sensor(self) -> RangeSensor:
-        """How ranges are taken to be measured: :attr:`sensor`, or as specified for the published estimator."""
+        """How ranges are taken to be measured: :attr:`sensor`, or as specified for the published
+        estimator.
+        """
         return self.sensor or self._specified
 
     @property
     def beam_turns(self) -> FloatArray | None:
-        """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is."""
+        """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad;
+        None if no beam is.
+        """
         return None
 
     @property
@@ -221,13 +259,19 @@ class Estimator:
         return self.range_sensor.mounted(self.robot)
 
     def assume(self, sensor: RangeSensor) -> None:
-        """Take the sensor to measure like this from now on, and correct the estimate for what was assumed before."""
+        """Take the sensor to measure like this from now on, and correct the estimate for what was
+        assumed before.
+        """
 
     def correct_delay(self) -> None:
-        """Take the ranges to be as late as the readings say. The caller lets the wheels wait for them from then on."""
+        """Take the ranges to be as late as the readings say. The caller lets the wheels wait for
+        them from then on.
+        """
 
     def leave_out(self, beam: int) -> None:
-        """Use no further readings of a broken beam of the only robot. Only the consistent estimator can do so."""
+        """Use no further readings of a broken beam of the only robot. Only the consistent estimator
+        can do so.
+        """
 
     @property
     def ranges(self) -> FloatArray:
@@ -236,12 +280,16 @@ class Estimator:
 
     @property
     def measured(self) -> BoolArray:
-        """Which of the first robot's readings (n_beams,) are new, not NaN, and from no other robot."""
+        """Which of the first robot's readings (n_beams,) are new, not NaN, and from no other
+        robot.
+        """
         return self.robots[0].measured
 
     @property
     def refused_readings(self) -> int:
-        """Number of readings since the start that were skipped: no readings (NaN), and negative numbers."""
+        """Number of readings since the start that were skipped: no readings (NaN), and negative
+        numbers.
+        """
         return sum(front.refused_readings for front in self.robots)
 
     def report(self, record: AssociationRecord) -> None:
@@ -255,7 +303,9 @@ class Estimator:
         raise NotImplementedError
 
     def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
-        """Predict the pose of a robot that has moved, as its odometry reports it, which may be the wheels' travel."""
+        """Predict the pose of a robot that has moved, as its odometry reports it, which may be the
+        wheels' travel.
+        """
         raise NotImplementedError
 
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
@@ -265,9 +315,12 @@ class Estimator:
     def _jittering(self, number: int, motion: Motion, observation: Observation) -> Motion:
         """A motion with the jitter by the ticks, which are found by its travel, too."""
         before, axle, covariance = self.ticks[number].tolist(), self.robot.axle, motion.covariance
-        if "wheels" in observation and not self.range_sensor.delay:  # else parts of the travel may wait for the ranges
+        if (
+            "wheels" in observation and not self.range_sensor.delay
+        ):  # else parts of the travel may wait for the ranges
             self.ticks[number] = [
-                tick_by(*each) for each in zip(before, map(float, observation["wheels"]), strict=True)
+                tick_by(*each)
+                for each in zip(before, map(float, observation["wheels"]), strict=True)
             ]
         ticks = [max(tick, 0.0) for tick in self.ticks[number].tolist()]
         if ticks != [max(tick, 0.0) for tick in before]:
@@ -277,18 +330,30 @@ class Estimator:
     def _drop_beams_on_robots(self) -> None:
         """Drop the beams of each robot that may end on another one, and must not become walls.
 
-        A beam may have hit another robot if its end point is closer to that robot's estimated position than the body's
-        radius plus a margin for the uncertainty of both positions, the same as that of beams that pass through walls.
+        A beam may have hit another robot if its end point is closer to that robot's estimated
+        position than the body's radius plus a margin for the uncertainty of both positions, the
+        same as that of beams that pass through walls.
         """
         from limslam_agent.kernels.nearness import beams_on_robot
 
         poses, covariance, robot = self.poses, self.filter.joint_pose_covariance, self.robot
         margins, numbers = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK), range(len(poses))
         for number, front in enumerate(self.robots):
-            ranges, found = np.where(front.measured, front.ranges, robot.max_ranges), np.zeros(len(robot.beams), bool)
+            ranges, found = (
+                np.where(front.measured, front.ranges, robot.max_ranges),
+                np.zeros(len(robot.beams), bool),
+            )
             for other in (other for other in numbers if other != number):
                 beams_on_robot(
-                    poses[number], poses[other], ranges, robot.beam_table, self.range_sensor.numbers, covariance,
-                    POSE * number, POSE * other, margins, found,
-                )  # fmt: skip
+                    poses[number],
+                    poses[other],
+                    ranges,
+                    robot.beam_table,
+                    self.range_sensor.numbers,
+                    covariance,
+                    POSE * number,
+                    POSE * other,
+                    margins,
+                    found,
+                )
             front.drop(found)

@@ -1,4 +1,6 @@
-"""Front end of one robot: checks its readings, counts the steps, and drops beams that may have hit other robots."""
+"""Front end of one robot: checks its readings, counts the steps, and drops beams that may have hit
+other robots.
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,14 +23,15 @@ class FrontEnd:
     step
         Number of the latest observation, from 0.
     ranges, measured
-        The latest readings (n_beams,), m, as `limslam_agent.readings` defines them, and which of them are new and not
-        NaN.
+        The latest readings (n_beams,), m, as `limslam_agent.readings` defines them, and which of
+        them are new and not NaN.
     hits
         New readings (n_beams,) that show a wall: not at the sensor's limits.
     dropped
         Readings (n_beams,) that may have hit another robot. They are not ``measured``.
     refused_readings
-        Number of readings since the start that were skipped: no readings (NaN), and negative numbers.
+        Number of readings since the start that were skipped: no readings (NaN), and negative
+        numbers.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
@@ -53,7 +56,9 @@ class FrontEnd:
         _check_kind(observation)
         if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
             shape = np.shape(observation["ranges"])
-            raise ValueError(f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}")
+            raise ValueError(
+                f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}"
+            )
 
     def accept(self, observation: Observation) -> None:
         """Store the readings of the next step, which have been checked."""
@@ -66,16 +71,28 @@ class FrontEnd:
 
         robot, values = self._robot, np.array(observation["ranges"], dtype=float)
         limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
-        self.ranges, self.measured, self.hits = np.empty(len(values)), robot.measures(self.step), self.dropped.copy()
-        self.refused_readings += sort_readings(values, *limits, self.ranges, self.measured, self.hits)
+        self.ranges, self.measured, self.hits = (
+            np.empty(len(values)),
+            robot.measures(self.step),
+            self.dropped.copy(),
+        )
+        self.refused_readings += sort_readings(
+            values, *limits, self.ranges, self.measured, self.hits
+        )
 
     def leave_out(self, beams: Sequence[int]) -> None:
         """Take broken beams to have seen nothing that counts."""
         for beam in beams:
-            self.ranges[beam], self.measured[beam], self.hits[beam] = self._robot.max_ranges[beam], False, False
+            self.ranges[beam], self.measured[beam], self.hits[beam] = (
+                self._robot.max_ranges[beam],
+                False,
+                False,
+            )
 
     def drop(self, beams: BoolArray) -> None:
-        """Drop those of the given beams (n_beams,) that hit something: they may have hit another robot."""
+        """Drop those of the given beams (n_beams,) that hit something: they may have hit another
+        robot.
+        """
         self.dropped = beams & self.hits
         self.measured, self.hits = self.measured & ~self.dropped, self.hits & ~self.dropped
 
@@ -83,4 +100,6 @@ class FrontEnd:
 def _check_kind(observation: object) -> None:
     if not isinstance(observation, Mapping):
         kind = type(observation).__name__
-        raise TypeError(f"an observation must be a dictionary with 'wheels' and 'ranges', not of type {kind}")
+        raise TypeError(
+            f"an observation must be a dictionary with 'wheels' and 'ranges', not of type {kind}"
+        )

@@ -1,4 +1,5 @@
-"""Ranges that are later than the wheels: the wheels' travel waits for them, and the poses go ahead again.
+"""Ranges that are later than the wheels: the wheels' travel waits for them, and the poses go ahead
+again.
 
 Each reading then belongs to the pose of its step, and nothing else need know of the delay.
 """
@@ -16,7 +17,9 @@ LONGEST = 10.0
 
 
 def held_back(wheels: FloatArray, delay: float) -> FloatArray:
-    """The travel (t, n, 2) of the wheels of n robots in each step, m, delayed by a number of steps."""
+    """The travel (t, n, 2) of the wheels of n robots in each step, m, delayed by a number of
+    steps.
+    """
     totals = np.concatenate((np.zeros_like(wheels[:1]), np.cumsum(wheels, axis=0)))
     return np.diff(_totals_at(totals, np.arange(float(len(totals))) - delay), axis=0)
 
@@ -44,8 +47,11 @@ class WaitingTravel:
         self._totals = [np.zeros((robots, 2))]
         self._given = self.travel = self._totals[0]
 
-    def synchronous(self, observations: Sequence[Observation], delay: float) -> Sequence[Observation]:
-        """The observations of the next step, with travel that waits for ranges that are late by so many steps.
+    def synchronous(
+        self, observations: Sequence[Observation], delay: float
+    ) -> Sequence[Observation]:
+        """The observations of the next step, with travel that waits for ranges that are late by so
+        many steps.
 
         The delay may change from step to step.
         """
@@ -66,7 +72,9 @@ class WaitingTravel:
 
 
 def _totals_at(totals: FloatArray, places: FloatArray) -> FloatArray:
-    """Totals (m, ...) at places (m,) between those of totals (t, ...); the first one before them."""
+    """Totals (m, ...) at places (m,) between those of totals (t, ...); the first one before
+    them.
+    """
     places = np.maximum(places, 0.0)
     first = places.astype(np.int64)
     second = np.minimum(first + 1, len(totals) - 1)

@@ -1,4 +1,6 @@
-"""Lines in points: the Hough transform finds them, and total least squares refines them, with their covariance."""
+"""Lines in points: the Hough transform finds them, and total least squares refines them, with their
+covariance.
+"""
 
 from dataclasses import dataclass
 
@@ -49,7 +51,11 @@ def fit_line(points: FloatArray, std: float) -> LineFit:
     lever = float(along.mean())
     of_angle = std**2 / max(float(((along - lever) ** 2).sum()), 1e-9)
     crossed = lever * of_angle
-    return LineFit(line, np.array([[std**2 / len(points) + lever * crossed, crossed], [crossed, of_angle]]), ends)
+    return LineFit(
+        line,
+        np.array([[std**2 / len(points) + lever * crossed, crossed], [crossed, of_angle]]),
+        ends,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,12 +85,20 @@ def max_distance(config: HoughConfig, std: float) -> float:
 
 
 def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[ExtractedLine]:
-    """All lines in a buffer of points (n, 2), m, whose ranges have noise ``std`` (m), best first."""
+    """All lines in a buffer of points (n, 2), m, whose ranges have noise ``std`` (m), best
+    first.
+    """
     from limslam_agent.kernels import lines
 
     owner, found, _ = lines.extract_lines(
-        points, float(config.max_gap), config.min_votes, float(bin_size(config, std)), float(config.theta_step),
-        float(max_distance(config, std)), float(config.min_length), config.only_best,
-    )  # fmt: skip
+        points,
+        float(config.max_gap),
+        config.min_votes,
+        float(bin_size(config, std)),
+        float(config.theta_step),
+        float(max_distance(config, std)),
+        float(config.min_length),
+        config.only_best,
+    )
     parts = [np.flatnonzero(owner == line) for line in range(len(found))]
     return [ExtractedLine(fit_line(points[part], std), part) for part in parts]

@@ -1,4 +1,6 @@
-"""Motion of a robot in one step, with its covariance, from wheel travel or from a log's odometry."""
+"""Motion of a robot in one step, with its covariance, from wheel travel or from a log's
+odometry.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -11,12 +13,15 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, arc_derivatives, arc_jacobian, wheels_to_arc
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 
-# The arc model is not exact. The least variance also keeps the covariance of a standing robot regular.
+# The arc model is not exact. The least variance also keeps the covariance of a standing robot
+# regular.
 LEAST_VARIANCE = 1e-12
 """Added to the variance of each wheel's travel, m^2."""
 
 TOO_FAST = 300.0
-"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused."""
+"""A wheel that travels this many times as far in a step as the robot's largest wheel speed allows
+is refused.
+"""
 
 _SURE_TURN = 4.0  # in standard deviations: a smaller turn may be noise only
 
@@ -34,7 +39,8 @@ class Motion:
     by_calibration
         Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
     jitter
-        Covariance (3, 3) of the pose, in its frame, about the sum of all increments: ``encoder_ticks.jitter_of``.
+        Covariance (3, 3) of the pose, in its frame, about the sum of all increments:
+        ``encoder_ticks.jitter_of``.
     """
 
     increment: FloatArray
@@ -46,15 +52,20 @@ class Motion:
     def has_turned(self) -> bool:
         """Whether the turn is no noise only.
 
-        A filter takes the derivative by a constant error as exact, and would explain the noise of a straight drive by
-        an axle that is too narrow, or by late ranges (errors in variables).
+        A filter takes the derivative by a constant error as exact, and would explain the noise of a
+        straight drive by an axle that is too narrow, or by late ranges (errors in variables).
         """
-        turn, covariance, jitter = self.increment.item(2), self.covariance.item(8), self.jitter.item(8)
+        turn, covariance, jitter = (
+            self.increment.item(2),
+            self.covariance.item(8),
+            self.jitter.item(8),
+        )
         return bool(turn**2 > _SURE_TURN**2 * (covariance + 2.0 * jitter))
 
 
 class OdometryCalibration(NamedTuple):
-    """Constant errors of the odometry: the shares by which wheels and axle are larger than their nominal sizes.
+    """Constant errors of the odometry: the shares by which wheels and axle are larger than their
+    nominal sizes.
 
     Attributes
     ----------
@@ -82,8 +93,12 @@ def motion_from_wheels(wheels: FloatArray, robot: RobotSpec, noise: NominalNoise
     return Motion(*wheel_motion(wheels, robot.axle, noise.wheel_variance))
 
 
-def wheel_motion(wheels: FloatArray, axle: float, wheel_variance: float) -> tuple[FloatArray, FloatArray]:
-    """The increment (3,) of :func:`motion_from_wheels`, and its covariance (3, 3). A batch compiles this function."""
+def wheel_motion(
+    wheels: FloatArray, axle: float, wheel_variance: float
+) -> tuple[FloatArray, FloatArray]:
+    """The increment (3,) of :func:`motion_from_wheels`, and its covariance (3, 3). A batch compiles
+    this function.
+    """
     distance, turn = wheels_to_arc(wheels, axle)
     by_arc, covariance = arc_derivatives(distance, turn), np.zeros((3, 3))
     for travel, by_turn in ((float(wheels[0]), -1.0 / axle), (float(wheels[1]), 1.0 / axle)):
@@ -107,7 +122,11 @@ def motion_from_odometry(odometry: FloatArray, config: OdometryConfig) -> Motion
     signed = math.copysign(distance, x)
     increment = np.array([scale * x, scale * y, turn + config.turn_bias * signed])
     along = config.distance_variance * distance + LEAST_VARIANCE
-    heading = config.turn_variance_per_metre * distance + config.turn_variance_per_radian * abs(turn) + LEAST_VARIANCE
+    heading = (
+        config.turn_variance_per_metre * distance
+        + config.turn_variance_per_radian * abs(turn)
+        + LEAST_VARIANCE
+    )
     # Heading noise accumulates on the way, so half of it acts on the sideways position at the end.
     by_noise = np.array([[1.0, -0.5 * y], [0.0, 0.5 * x], [0.0, 1.0]])
     covariance = (by_noise * np.array([along, heading])) @ by_noise.T
@@ -118,8 +137,9 @@ def motion_from_odometry(odometry: FloatArray, config: OdometryConfig) -> Motion
 def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) -> Motion:
     """A motion corrected for the sizes of wheels and axle.
 
-    With wheel travel l = d - t b / 2 and r = d + t b / 2 and the axle b (m), the distance d and the turn t become
-    (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d / b) / (1 + fb).
+    With wheel travel l = d - t b / 2 and r = d + t b / 2 and the axle b (m), the distance d and the
+    turn t become (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d
+    / b) / (1 + fb).
 
     A turn that may be noise only is left out of ``by_calibration``.
     """
@@ -132,10 +152,12 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
     lever, drift = 0.25 * axle * turn, driven / axle
     distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
     sure, sure_turned = (turn, turned) if motion.has_turned else (0.0, uneven * drift / wider)
-    by_calibration = arc_jacobian(distance, turned) @ np.array([
-        [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
-        [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
-    ])  # fmt: skip
+    by_calibration = arc_jacobian(distance, turned) @ np.array(
+        [
+            [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
+            [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
+        ]
+    )
     increment = motion.increment
     if calibration != AS_SPECIFIED:
         # The motion of a log need not be an arc that wheels can drive.
@@ -143,7 +165,9 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
     return Motion(increment, motion.covariance, by_calibration, motion.jitter)
 
 
-def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, odometry: OdometryConfig) -> Motion:
+def motion_of(
+    observation: Observation, robot: RobotSpec, noise: NominalNoise, odometry: OdometryConfig
+) -> Motion:
     """The motion that an observation reports, by wheel travel or by odometry.
 
     Raises
@@ -185,10 +209,13 @@ def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> 
     """
     if "wheels" not in observation:
         return
-    farthest = max(map(abs, np.asarray(observation["wheels"], dtype=float).ravel().tolist()), default=0.0)
+    farthest = max(
+        map(abs, np.asarray(observation["wheels"], dtype=float).ravel().tolist()), default=0.0
+    )
     if math.isfinite(farthest) and farthest > longest:
         limit = f"{robot.max_wheel_speed:g} m/s for {robot.control_period:g} s"
         raise ValueError(
-            f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: wheels must be "
+            f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: "
+            "wheels must be "
             "metres since the last observation, not ticks or millimetres"
         )

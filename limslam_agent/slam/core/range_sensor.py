@@ -26,7 +26,8 @@ class RangeSensor(NamedTuple):
     bias
         By what all ranges are too long, m.
     turns
-        By what each beam is turned to the left against the robot's settings, rad; empty if no beam is.
+        By what each beam is turned to the left against the robot's settings, rad; empty if no beam
+        is.
     delay
         By how many steps the ranges are later than the wheels.
     broken
@@ -63,21 +64,33 @@ class RangeSensor(NamedTuple):
         if not self.turns:
             return robot
         beams = zip(robot.beams, self.turns, strict=True)
-        return replace(robot, beams=tuple(replace(beam, angle=beam.angle + turn) for beam, turn in beams))
+        return replace(
+            robot, beams=tuple(replace(beam, angle=beam.angle + turn) for beam, turn in beams)
+        )
 
     def found(self, specified: "RangeSensor", period: float) -> dict[str, Any]:
-        """What was found about a sensor that is not as specified, for a ``result.json``; empty if it is as specified.
+        """What was found about a sensor that is not as specified, for a ``result.json``; empty if
+        it is as specified.
 
         ``period`` is the time of a step, s.
         """
         own, assumed = (each._asdict() for each in (self, specified))
-        names = {"std": "noise_m", "growth": "noise_growth_per_m", "cone": "cone_rad", "bias": "bias_m"}
+        names = {
+            "std": "noise_m",
+            "growth": "noise_growth_per_m",
+            "cone": "cone_rad",
+            "bias": "bias_m",
+        }
         numbers = {name: own[part] for part, name in names.items() if own[part] != assumed[part]}
         delay = {"delay_s": self.delay * period} if self.delay else {}
         return {**numbers, **delay, **({"broken_beams": list(self.broken)} if self.broken else {})}
 
     def change_from(self, other: "RangeSensor") -> FloatArray:
-        """By what bias, opening angle, delay and the turns of the beams, if there are any, exceed another sensor's."""
+        """By what bias, opening angle, delay and the turns of the beams, if there are any, exceed
+        another sensor's.
+        """
         count = max(len(self.turns), len(other.turns))
         turns = np.subtract(self.turns or np.zeros(count), other.turns or np.zeros(count))
-        return np.array([self.bias - other.bias, self.cone - other.cone, self.delay - other.delay, *turns])
+        return np.array(
+            [self.bias - other.bias, self.cone - other.cone, self.delay - other.delay, *turns]
+        )

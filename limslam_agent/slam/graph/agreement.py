@@ -1,7 +1,8 @@
-"""Agreement without ground truth: between loops, and between the observations of one place by different visits.
+"""Agreement without ground truth: between loops, and between the observations of one place by
+different visits.
 
-Scores of right and wrong matches overlap, so that no threshold separates them. Agreement between two loops does
-separate them.
+Scores of right and wrong matches overlap, so that no threshold separates them. Agreement between
+two loops does separate them.
 """
 
 import math
@@ -30,9 +31,11 @@ _STRETCH = 2  # chunks before and after a chunk
 
 
 def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
-    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
+    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another
+    chunk.
 
-    ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to each chunk, m.
+    ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to
+    each chunk, m.
     """
     if not loops:
         return np.zeros(0, dtype=np.bool_)
@@ -43,7 +46,9 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
     after = se2.between(poses[second][:, None], poses[second][None])
     predicted = se2.compose(se2.compose(before, relative[:, None]), after)
     apart = se2.between(predicted, np.broadcast_to(relative[None], predicted.shape))
-    agree = (np.hypot(apart[..., 0], apart[..., 1]) < AGREE_DISTANCE) & (np.abs(apart[..., 2]) < AGREE_TURN)
+    agree = (np.hypot(apart[..., 0], apart[..., 1]) < AGREE_DISTANCE) & (
+        np.abs(apart[..., 2]) < AGREE_TURN
+    )
     gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
     near = (gaps[0] <= _SUPPORT_TO) & (gaps[1] >= _SUPPORT_FROM) & (gaps[1] <= _SUPPORT_TO)
     return np.asarray((near & agree).any(axis=0))
@@ -51,7 +56,9 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
 
 @dataclass(frozen=True, eq=False)
 class VisitCounts:
-    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
+    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with
+    middles ``middles``.
+    """
 
     middles: IntArray
     points: IntArray
@@ -67,23 +74,30 @@ class VisitCounts:
     def doubtful(self, seam: int = 0) -> IntArray:
         """Middles of the chunks around which points are contradicted more often than confirmed.
 
-        Clutter does not explain that: the stretch lies at a wrong place. A second log begins at the key pose ``seam``:
-        its chunks are not around those of the first log.
+        Clutter does not explain that: the stretch lies at a wrong place. A second log begins at the
+        key pose ``seam``: its chunks are not around those of the first log.
         """
         log = self.middles >= seam
-        around = (np.abs(np.subtract.outer(places := np.arange(len(log)), places)) <= _STRETCH) & (log[:, None] == log)
+        around = (np.abs(np.subtract.outer(places := np.arange(len(log)), places)) <= _STRETCH) & (
+            log[:, None] == log
+        )
         contradicted = around @ self.contradicted
         confirmed = around @ self.confirmed
         return self.middles[contradicted > confirmed]
 
 
 def visit_counts(
-    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float, seam: int | None = None
+    keys: KeyPoses,
+    trajectory: Trajectory,
+    config: GraphConfig,
+    max_range: float,
+    seam: int | None = None,
 ) -> VisitCounts:
     """How many points of each chunk other visits confirm and contradict.
 
-    At a confirmed point at least as many other visits have seen a wall as free space, at a contradicted one fewer. If
-    a second log begins at the key pose ``seam``, only visits of the other log count.
+    At a confirmed point at least as many other visits have seen a wall as free space, at a
+    contradicted one fewer. If a second log begins at the key pose ``seam``, only visits of the
+    other log count.
     """
     maps = config.maps
     middles = chunk_middles(keys, maps, maps.half)
@@ -91,13 +105,20 @@ def visit_counts(
     points = np.array([len(each.points) for each in chunks])
     travel = keys.key_travel[middles] if seam is None else np.where(middles < seam, 0.0, APART)
     hits, frees = _votes(
-        np.stack([each.grid for each in chunks]), chunks[0].low, maps.cell,
-        np.concatenate([each.points for each in chunks]), np.append(0, np.cumsum(points)), trajectory.poses[middles],
-        travel, ANOTHER_VISIT,
-    )  # fmt: skip
+        np.stack([each.grid for each in chunks]),
+        chunks[0].low,
+        maps.cell,
+        np.concatenate([each.points for each in chunks]),
+        np.append(0, np.cumsum(points)),
+        trajectory.poses[middles],
+        travel,
+        ANOTHER_VISIT,
+    )
     owner, count = np.repeat(np.arange(len(middles)), points), len(middles)
     confirmed = np.bincount(owner[(hits > 0) & (hits >= frees)], minlength=count)
-    return VisitCounts(middles, points, confirmed, np.bincount(owner[frees > hits], minlength=count))
+    return VisitCounts(
+        middles, points, confirmed, np.bincount(owner[frees > hits], minlength=count)
+    )
 
 
 @kernel

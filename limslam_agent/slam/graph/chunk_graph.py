@@ -1,11 +1,14 @@
-"""The graph of chunks: hops between neighbours and loops, the search for loops, and the solution by annealing.
+"""The graph of chunks: hops between neighbours and loops, the search for loops, and the solution by
+annealing.
 
-Each chunk is matched against earlier chunks that may show the same place. The joint covariance of all chunks so far
-determines which ones can be near, and how wide the window of a match must be. Each accepted loop reduces it.
+Each chunk is matched against earlier chunks that may show the same place. The joint covariance of
+all chunks so far determines which ones can be near, and how wide the window of a match must be.
+Each accepted loop reduces it.
 
-Hops have a Cauchy kernel, so that wheel slip distorts the graph in one place only. Loops have dynamic covariance
-scaling, so that a wrong loop loses its weight. Both kernels start wide and become narrow together. With narrow kernels
-from the start, the graph would stay at the odometry poses, and right loops would be rejected.
+Hops have a Cauchy kernel, so that wheel slip distorts the graph in one place only. Loops have
+dynamic covariance scaling, so that a wrong loop loses its weight. Both kernels start wide and
+become narrow together. With narrow kernels from the start, the graph would stay at the odometry
+poses, and right loops would be rejected.
 """
 
 import math
@@ -15,28 +18,50 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import Relations, add_relations, loop_weights, relation_factor
+from limslam_agent.slam.graph.least_squares import (
+    Relations,
+    add_relations,
+    loop_weights,
+    relation_factor,
+)
 from limslam_agent.slam.graph.local_maps import LocalMap
-from limslam_agent.slam.graph.matching import Match, SearchGrid, Window, match, match_covariance, search_grid
+from limslam_agent.slam.graph.matching import (
+    Match,
+    SearchGrid,
+    Window,
+    match,
+    match_covariance,
+    search_grid,
+)
 from limslam_agent.slam.graph.posterior import aligned_covariance
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-# The covariance of a hop is the local graph's covariance times the first number, plus the squares of these standard
-# deviations, m and rad.
+# The covariance of a hop is the local graph's covariance times the first number, plus the squares
+# of these standard deviations, m and rad.
 _HOP_INFLATION, _HOP_POSITION, _HOP_TURN = 6.0, 0.03, math.radians(1.0)
 _HOP_KERNEL = 9.0  # scale of the Cauchy kernel of the hops, as a chi-square
-# Successive factors of both kernels, from the chain of hops on; the last two from a solution that is nearly right.
+# Successive factors of both kernels, from the chain of hops on; the last two from a solution that
+# is nearly right.
 _ANNEALING = 1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0
-_ITERATIONS, _TOLERANCE = 8, 1e-3  # for each factor: at most, and the step (m, rad) below which they stop
+_ITERATIONS, _TOLERANCE = (
+    8,
+    1e-3,
+)  # for each factor: at most, and the step (m, rad) below which they stop
 KEPT_WEIGHT = 0.3
 """Loops with a lower weight are not used further."""
-_GATE = 2.5  # m: chunks within this distance show the same place, however well their poses are known
-_LEAST_WINDOW, _LEAST_TURN = 0.6, math.radians(8.0)  # the part that does not depend on the uncertainty, m and rad
+_GATE = (
+    2.5  # m: chunks within this distance show the same place, however well their poses are known
+)
+_LEAST_WINDOW, _LEAST_TURN = (
+    0.6,
+    math.radians(8.0),
+)  # the part that does not depend on the uncertainty, m and rad
 TURN_STEP = math.radians(3.0)
 """Step of the turns of a match, rad."""
-# How far from its believed pose a chunk is searched for: standard deviations that are added to the gate and to the
-# window; the largest distance between two chunks, m; and the largest window, m and rad.
+# How far from its believed pose a chunk is searched for: standard deviations that are added to the
+# gate and to the window; the largest distance between two chunks, m; and the largest window, m and
+# rad.
 _SIGMAS, _MOST_DISTANCE, _MOST_SHIFT, _MOST_TURN = 2.5, 12.0, 4.0, math.radians(35.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
@@ -73,7 +98,8 @@ class Hops:
 def inflated(covariances: FloatArray) -> FloatArray:
     """Covariances (c, 3, 3) of motions by the local graph, as the graph of chunks uses them.
 
-    The local graph trusts its associations. With its original covariances, right loops would be outweighed by the hops.
+    The local graph trusts its associations. With its original covariances, right loops would be
+    outweighed by the hops.
     """
     return _HOP_INFLATION * covariances + np.diag([_HOP_POSITION**2] * 2 + [_HOP_TURN**2])
 
@@ -85,8 +111,11 @@ def relations_of(loops: Sequence[Loop]) -> Relations:
     return ends, relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
 
 
-def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop]) -> tuple[FloatArray, FloatArray]:
-    """Poses (c, 3) of the chunks, from the chain of hops that begins at ``start`` (3,), and the weights of the loops.
+def solve_annealed(
+    start: FloatArray, hops: Hops, loops: Sequence[Loop]
+) -> tuple[FloatArray, FloatArray]:
+    """Poses (c, 3) of the chunks, from the chain of hops that begins at ``start`` (3,), and the
+    weights of the loops.
 
     The kernels are wide first and narrow last.
     """
@@ -112,8 +141,12 @@ def joint_covariance(poses: FloatArray, hops: Hops, loops: Sequence[Loop]) -> Fl
     return equations.solved(equations.factorise(), np.eye(equations.size))
 
 
-def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses: FloatArray) -> Trajectory:
-    """Move all key poses with the chunks; between chunks, interpolate the corrections by the distance driven."""
+def carry_over(
+    keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses: FloatArray
+) -> Trajectory:
+    """Move all key poses with the chunks; between chunks, interpolate the corrections by the
+    distance driven.
+    """
     old, travel = trajectory.poses, keys.key_travel
     numbers = np.arange(len(keys))
     before = np.clip(np.searchsorted(middles, numbers, side="right") - 1, 0, len(middles) - 1)
@@ -132,18 +165,27 @@ def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses:
 def _equations(
     poses: FloatArray, hops: Hops, loops: Sequence[Loop], factor: float
 ) -> tuple[NormalEquations, FloatArray]:
-    """The normal equations with kernels that are wider by a factor, and the weights of the loops."""
+    """The normal equations with kernels that are wider by a factor, and the weights of the
+    loops.
+    """
     equations, first = NormalEquations(3 * len(poses)), np.arange(len(poses) - 1)
     certainty = np.asarray(np.linalg.inv(hops.covariances))
     add_relations(
-        equations, poses, np.column_stack((first, first + 1)), hops.motions, certainty,
+        equations,
+        poses,
+        np.column_stack((first, first + 1)),
+        hops.motions,
+        certainty,
         lambda chi2: 1.0 / (1.0 + chi2 / (_HOP_KERNEL * factor)),
-    )  # fmt: skip
-    return equations, add_relations(equations, poses, *relations_of(loops), lambda chi2: loop_weights(chi2, factor))
+    )
+    return equations, add_relations(
+        equations, poses, *relations_of(loops), lambda chi2: loop_weights(chi2, factor)
+    )
 
 
 class ChunkGraph:
-    """The chunks so far in the order of driving, their poses, and the loops that were found between them.
+    """The chunks so far in the order of driving, their poses, and the loops that were found between
+    them.
 
     Parameters
     ----------
@@ -171,7 +213,9 @@ class ChunkGraph:
 
     @property
     def position_std(self) -> float:
-        """Standard deviation of the last chunk's position in the map, m: after the alignment of all chunks."""
+        """Standard deviation of the last chunk's position in the map, m: after the alignment of all
+        chunks.
+        """
         columns = (3 * np.arange(len(self.poses))[:, None] + np.arange(2)).ravel()
         left = aligned_covariance(self.covariance[np.ix_(columns, columns)], self.poses[:, :2])
         return float(np.sqrt(max(np.trace(left[-2:, -2:]), 0.0)))
@@ -179,11 +223,13 @@ class ChunkGraph:
     def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
         """Add a chunk, search for its loops, and solve the graph if it has changed.
 
-        ``motions`` (h, 3) are the last hops, as they are known now. The last one leads to the new chunk, and has the
-        covariance (3, 3).
+        ``motions`` (h, 3) are the last hops, as they are known now. The last one leads to the new
+        chunk, and has the covariance (3, 3).
         """
         before = self.hops.motions[: len(self.maps) - len(motions)]
-        self.hops = Hops(np.vstack((before, motions)), np.concatenate((self.hops.covariances, covariance[None])))
+        self.hops = Hops(
+            np.vstack((before, motions)), np.concatenate((self.hops.covariances, covariance[None]))
+        )
         self.maps.append(chunk)
         by_pose, by_motion = se2.compose_jacobians(self.poses[-1], motions[-1])
         across = by_pose @ self.covariance[-3:]
@@ -214,11 +260,15 @@ class ChunkGraph:
         guesses, position_std, turn_std = self._seen_from(old)
         distance = np.hypot(guesses[:, 0], guesses[:, 1])
         least, _ = SCORES
-        for row in np.nonzero(distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std))[0]:
+        for row in np.nonzero(
+            distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std)
+        )[0]:
             shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
             turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
             window = Window(shift, turn, TURN_STEP)
-            found = match(self._grid(int(old[row])), self.maps[newest].points, guesses[row], window, least)
+            found = match(
+                self._grid(int(old[row])), self.maps[newest].points, guesses[row], window, least
+            )
             if found.score > least:
                 candidates.append((int(old[row]), found))
         candidates.sort(key=lambda each: -each[1].score)
@@ -226,7 +276,9 @@ class ChunkGraph:
         return [loop for loop in loops if loop is not None]
 
     def _loop(self, first: int, second: int, found: Match) -> Loop | None:
-        """A loop with the covariance of its match; None if the chunks do not match in the opposite direction."""
+        """A loop with the covariance of its match; None if the chunks do not match in the opposite
+        direction.
+        """
         back, others = self._grid(second), self.maps[first].points
         _, least = SCORES
         again = match(back, others, se2.inverse(found.pose), _BACKWARD_WINDOW, least)
@@ -237,22 +289,36 @@ class ChunkGraph:
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score)
 
     def _seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The newest chunk's pose in the frames of old chunks (k, 3), and its standard deviations (k,), m and rad."""
+        """The newest chunk's pose in the frames of old chunks (k, 3), and its standard deviations
+        (k,), m and rad.
+        """
         newest = np.full(len(old), len(self.poses) - 1)
         _, jacobian = relation_factor(self.poses, newest, old, np.zeros((len(old), 3)))
         columns = np.hstack((pose_columns(newest), pose_columns(old)))
-        covariance = jacobian @ self.covariance[columns[:, :, None], columns[:, None]] @ jacobian.transpose(0, 2, 1)
+        covariance = (
+            jacobian
+            @ self.covariance[columns[:, :, None], columns[:, None]]
+            @ jacobian.transpose(0, 2, 1)
+        )
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
-        return se2.between(self.poses[old], self.poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
+        return (
+            se2.between(self.poses[old], self.poses[-1]),
+            position,
+            np.sqrt(np.maximum(covariance[:, 2, 2], 0.0)),
+        )
 
     def _grid(self, number: int) -> SearchGrid:
         if number not in self._grids:
-            self._grids[number] = search_grid(self.maps[number].grid, self.maps[number].cell, _MOST_SHIFT)
+            self._grids[number] = search_grid(
+                self.maps[number].grid, self.maps[number].cell, _MOST_SHIFT
+            )
         return self._grids[number]
 
 
 def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> list[Loop]:
-    """All loops that the search accepts between chunks (c,), of which the first one has the pose ``start`` (3,)."""
+    """All loops that the search accepts between chunks (c,), of which the first one has the pose
+    ``start`` (3,).
+    """
     graph = ChunkGraph(maps[0], start)
     for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
         graph.add(chunk, motion[None], covariance)

@@ -1,9 +1,10 @@
-"""Key poses: the poses of a log that are estimated, and the assignment of all events and points to these poses.
+"""Key poses: the poses of a log that are estimated, and the assignment of all events and points to
+these poses.
 
-A new key pose begins after some driving or turning. Between two key poses, the events follow odometry. Odometry is
-corrected for its constant errors: a heading bias per metre, a scale of distances, a gain of turns, the delay of the
-ranges (a scan is sent and given its time while odometry is already newer), and the direction of driving (the beams may
-be mounted at an angle).
+A new key pose begins after some driving or turning. Between two key poses, the events follow
+odometry. Odometry is corrected for its constant errors: a heading bias per metre, a scale of
+distances, a gain of turns, the delay of the ranges (a scan is sent and given its time while
+odometry is already newer), and the direction of driving (the beams may be mounted at an angle).
 """
 
 import math
@@ -21,9 +22,12 @@ kernel = entry_of(__name__)
 KEY_DISTANCE, KEY_TURN = 0.25, math.radians(12.0)
 """A new key pose begins after this distance driven, m, or this turn, rad."""
 
-_SCAN_DISTANCE, _SCAN_TURN = 0.015, math.radians(1.0)  # m, rad: since the last scan that gave points
-# Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per square root of a metre
-# driven, and of a radian turned.
+_SCAN_DISTANCE, _SCAN_TURN = (
+    0.015,
+    math.radians(1.0),
+)  # m, rad: since the last scan that gave points
+# Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per
+# square root of a metre driven, and of a radian turned.
 _PER_METRE = 0.05, 0.05, math.radians(2.0)
 _PER_RADIAN = 0.03, 0.03, math.radians(6.0)
 _DELAY_STEP = 0.05  # s, of the derivatives by the delay
@@ -45,7 +49,8 @@ class LogData:
     # ranges, hit: ranges (n, b), m, and whether each beam has measured a wall
     ranges: FloatArray
     hit: BoolArray
-    # origins, angles: origins (b, 2), m, and directions (b,), rad, of the beams in the robot's frame
+    # origins, angles: origins (b, 2), m, and directions (b,), rad, of the beams in the robot's
+    # frame
     origins: FloatArray
     angles: FloatArray
     max_range: float  # longest range, m
@@ -56,30 +61,31 @@ class LogData:
 class KeyPoses:
     """The constant part of the problem: m key poses, n events, p points."""
 
-    # event_key, first_event: the key pose (n,) of each event, and the first event (m,) of each key pose
+    # event_key, first_event: the key pose (n,) of each event, and the first event (m,) of each key
+    # pose
     event_key: IntArray
     first_event: IntArray
-    # offset, offset_forward: odometry pose (n, 3) of each event in the frame of its key pose; distance (n,) driven
-    # forward since the key pose, m
+    # offset, offset_forward: odometry pose (n, 3) of each event in the frame of its key pose;
+    # distance (n,) driven forward since the key pose, m
     offset: FloatArray
     offset_forward: FloatArray
-    # step, step_forward, step_variances: odometry motion (m - 1, 3) from each key pose to the next; its distance (m -
-    # 1,), m, and its variances (m - 1, 3)
+    # step, step_forward, step_variances: odometry motion (m - 1, 3) from each key pose to the next;
+    # its distance (m - 1,), m, and its variances (m - 1, 3)
     step: FloatArray
     step_forward: FloatArray
     step_variances: FloatArray
-    # offset_rate, step_rate: derivatives (n, 3) and (m - 1, 3) of ``offset`` and ``step`` by the delay of the ranges,
-    # per s
+    # offset_rate, step_rate: derivatives (n, 3) and (m - 1, 3) of ``offset`` and ``step`` by the
+    # delay of the ranges, per s
     offset_rate: FloatArray
     step_rate: FloatArray
     travel: FloatArray  # length (n,) of the path up to each event, m
-    # point_event, point_key, point_travel: event, key pose and travel (p,) of each point; points are in the order of
-    # events
+    # point_event, point_key, point_travel: event, key pose and travel (p,) of each point; points
+    # are in the order of events
     point_event: IntArray
     point_key: IntArray
     point_travel: FloatArray
-    # in_robot, origin_in_robot: each point (p, 2) and the origin of its beam (p, 2), in the robot's frame at its
-    # event, m
+    # in_robot, origin_in_robot: each point (p, 2) and the origin of its beam (p, 2), in the robot's
+    # frame at its event, m
     in_robot: FloatArray
     origin_in_robot: FloatArray
 
@@ -103,9 +109,9 @@ class KeyPoses:
 class Trajectory:
     """The estimate: key poses (m, 3) and the ``bias`` (5,) of odometry.
 
-    The bias is the missing heading per metre, rad/m, the share of distances, the share of turns, the delay of the
-    ranges, s (a range was measured this long before its time), and the direction in which the robot drives when
-    odometry says ahead, rad, in the frame of the beams.
+    The bias is the missing heading per metre, rad/m, the share of distances, the share of turns,
+    the delay of the ranges, s (a range was measured this long before its time), and the direction
+    in which the robot drives when odometry says ahead, rad, in the frame of the beams.
     """
 
     poses: FloatArray
@@ -126,9 +132,14 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
     first = np.searchsorted(key, np.arange(key[-1] + 1))
     travel, forward = np.cumsum(length), np.cumsum(moves[:, 0])
     first_of = first[key]
-    offset_rate, step_rate = _rates(data, first_of, np.arange(count)), _rates(data, first[:-1], first[1:])
+    offset_rate, step_rate = (
+        _rates(data, first_of, np.arange(count)),
+        _rates(data, first[:-1], first[1:]),
+    )
     scans = np.diff(_count_ups(length, turn, _SCAN_DISTANCE, _SCAN_TURN), prepend=-1) > 0
-    event, beam = np.nonzero(_thinned(data.hit & scans[:, None], max(travel[-1], 1.0) * config.points_per_metre))
+    event, beam = np.nonzero(
+        _thinned(data.hit & scans[:, None], max(travel[-1], 1.0) * config.points_per_metre)
+    )
     direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
     return KeyPoses(
         event_key=key,
@@ -150,7 +161,9 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
 
 
 def _thinned(hit: BoolArray, most: float) -> BoolArray:
-    """The hits (n, b) of every k-th beam, other beams in each scan; k is the least that leaves about ``most`` hits."""
+    """The hits (n, b) of every k-th beam, other beams in each scan; k is the least that leaves
+    about ``most`` hits.
+    """
     every = max(1, math.ceil(hit.sum() / most))
     scans = np.cumsum(hit.any(axis=1))
     return np.asarray(hit & ((scans[:, None] + np.arange(hit.shape[1])) % every == 0))
@@ -158,7 +171,9 @@ def _thinned(hit: BoolArray, most: float) -> BoolArray:
 
 def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:
     """Variances (k, 3) of motions by odometry of ``length`` (k,), m, and ``turn`` (k,), rad."""
-    return np.asarray(length[:, None] * np.array(_PER_METRE) ** 2 + turn[:, None] * np.array(_PER_RADIAN) ** 2)
+    return np.asarray(
+        length[:, None] * np.array(_PER_METRE) ** 2 + turn[:, None] * np.array(_PER_RADIAN) ** 2
+    )
 
 
 def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
@@ -177,29 +192,37 @@ def _has_times(time: FloatArray) -> bool:
 
 
 def delayed(data: LogData, delay: float) -> LogData:
-    """The log with the odometry poses of ``delay`` s before the times of its events, by linear interpolation.
+    """The log with the odometry poses of ``delay`` s before the times of its events, by linear
+    interpolation.
 
-    A log whose times do not tell its events apart stays as it is. Of several events with one time, each keeps its own
-    pose, to which the motion during the delay is added.
+    A log whose times do not tell its events apart stays as it is. Of several events with one time,
+    each keeps its own pose, to which the motion during the delay is added.
     """
     if not delay or not _has_times(data.time):
         return data
     time, odometry = np.maximum.accumulate(data.time), data.odometry
     nodes, chosen = np.unique(time, return_index=True)
     columns = np.column_stack((odometry[:, :2], np.unwrap(odometry[:, 2])))
-    changes = [np.interp(time - delay, nodes, each) - np.interp(time, nodes, each) for each in columns[chosen].T]
+    changes = [
+        np.interp(time - delay, nodes, each) - np.interp(time, nodes, each)
+        for each in columns[chosen].T
+    ]
     poses = columns + np.column_stack(changes)
     poses[:, 2] = se2.wrap_angle(poses[:, 2])
     return replace(data, odometry=poses)
 
 
 def calibrated_steps(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Odometry motions (m - 1, 3) from each key pose to the next, corrected for the constant errors."""
+    """Odometry motions (m - 1, 3) from each key pose to the next, corrected for the constant
+    errors.
+    """
     return _calibrated(keys.step + bias[3] * keys.step_rate, keys.step_forward, bias)
 
 
 def calibrated_rates(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Derivatives (m - 1, 3) of the corrected motions from each key pose to the next by the delay, per s."""
+    """Derivatives (m - 1, 3) of the corrected motions from each key pose to the next by the delay,
+    per s.
+    """
     rates = _calibrated(keys.step_rate, keys.step_forward, bias)
     rates[:, 2] -= bias[0] * keys.step_forward
     return rates
@@ -216,7 +239,9 @@ def calibrated_motion(motion: FloatArray, bias: FloatArray) -> FloatArray:
 
 
 def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> FloatArray:
-    """Correct a motion. Its direction is rotated by half of the missing heading and by the error of the direction."""
+    """Correct a motion. Its direction is rotated by half of the missing heading and by the error of
+    the direction.
+    """
     turn, scale, gain, _, direction = bias
     half = 0.5 * turn * forward + direction
     cos, sin = np.cos(half), np.sin(half)
@@ -233,7 +258,9 @@ def corrected(data: LogData, bias: FloatArray) -> LogData:
 
 
 def joined_bias(first: FloatArray, second: FloatArray) -> FloatArray:
-    """The constant errors (5,) of odometry that is corrected for the first errors and then for the second ones."""
+    """The constant errors (5,) of odometry that is corrected for the first errors and then for the
+    second ones.
+    """
     scale, gain = (1.0 + first[1:3]) * (1.0 + second[1:3]) - 1.0
     turn = (1.0 + second[2]) * first[0] + (1.0 + first[1]) * second[0]
     return np.array([turn, scale, gain, *(first[3:] + second[3:])])
@@ -261,7 +288,9 @@ def points_in_keys(keys: KeyPoses, bias: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """Transform points (p, 2) from the frames of poses (p, 3), one pose for each point, into the frame of the poses."""
+    """Transform points (p, 2) from the frames of poses (p, 3), one pose for each point, into the
+    frame of the poses.
+    """
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x = poses[:, 0] + cos * points[:, 0] - sin * points[:, 1]
     return np.column_stack((x, poses[:, 1] + sin * points[:, 0] + cos * points[:, 1]))
@@ -270,15 +299,20 @@ def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
 def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
     """Poses (n, 3) of all events.
 
-    The difference between odometry and the next key pose is distributed over the path between two key poses.
+    The difference between odometry and the next key pose is distributed over the path between two
+    key poses.
     """
     poses, key = trajectory.poses, keys.event_key
     ridden = se2.compose(poses[key], event_offsets(keys, trajectory.bias))
-    arrival = np.vstack((se2.compose(poses[:-1], calibrated_steps(keys, trajectory.bias)), poses[-1:]))
+    arrival = np.vstack(
+        (se2.compose(poses[:-1], calibrated_steps(keys, trajectory.bias)), poses[-1:])
+    )
     gap = np.vstack((poses[1:], poses[-1:])) - arrival
     gap[:, 2] = se2.wrap_angle(gap[:, 2])
     after = np.append(keys.first_event[1:], len(key))[key]
-    share = (np.arange(len(key)) - keys.first_event[key]) / np.maximum(after - keys.first_event[key], 1)
+    share = (np.arange(len(key)) - keys.first_event[key]) / np.maximum(
+        after - keys.first_event[key], 1
+    )
     ridden += share[:, None] * gap[key]
     ridden[:, 2] = se2.wrap_angle(ridden[:, 2])
     return np.asarray(ridden)
@@ -286,7 +320,9 @@ def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
 
 @kernel
 def _count_ups(length: FloatArray, turn: FloatArray, distance: float, angle: float) -> IntArray:
-    """The number of times, up to each event, that the accumulated driving or turning has reached its threshold."""
+    """The number of times, up to each event, that the accumulated driving or turning has reached
+    its threshold.
+    """
     out = np.zeros(len(length), np.int64)
     driven = turned = 0.0
     count = 0

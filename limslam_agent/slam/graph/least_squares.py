@@ -1,7 +1,7 @@
 """Factors of the graph with their Jacobians, which are added to normal equations.
 
-The unknowns have this order: three for each key pose, the five constant errors of odometry, two for each line (turn
-about its centre, offset). A step is added to the parameters of a pose directly.
+The unknowns have this order: three for each key pose, the five constant errors of odometry, two for
+each line (turn about its centre, offset). A step is added to the parameters of a pose directly.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,13 @@ from collections.abc import Callable
 import numpy as np
 
 from limslam_agent.config.graph import OdometryErrorConfig
-from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, calibrated_rates, calibrated_steps
+from limslam_agent.slam.graph.key_poses import (
+    ERRORS,
+    KeyPoses,
+    Trajectory,
+    calibrated_rates,
+    calibrated_steps,
+)
 from limslam_agent.slam.graph.point_links import PointCloud
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray, IntArray, se2
@@ -18,15 +24,19 @@ _LINK_KERNEL = 2.0  # scale of the Geman-McClure kernel of links, in standard de
 _LOOP_KERNEL = 3.0  # the parameter of dynamic covariance scaling, as a chi-square
 
 Relations = tuple[IntArray, FloatArray, FloatArray]
-"""Relative poses between poses: their ends (f, 2), relative poses (f, 3) and information (f, 3, 3)."""
+"""Relative poses between poses: their ends (f, 2), relative poses (f, 3) and information (f, 3,
+3).
+"""
 
 
 def relation_factor(
     poses: FloatArray, first: IntArray, second: IntArray, measured: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Errors (f, 3) of measured relative poses (f, 3), and their Jacobians (f, 3, 6) by the first and second pose.
+    """Errors (f, 3) of measured relative poses (f, 3), and their Jacobians (f, 3, 6) by the first
+    and second pose.
 
-    The error is the estimated relative pose minus the measured relative pose, with a wrapped heading.
+    The error is the estimated relative pose minus the measured relative pose, with a wrapped
+    heading.
     """
     a, b = poses[first], poses[second]
     cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
@@ -51,8 +61,12 @@ def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray,
     steps = calibrated_steps(keys, trajectory.bias)
     error, by_poses = relation_factor(trajectory.poses, first, first + 1, steps)
     by_bias = np.zeros((len(first), 3, ERRORS))
-    # The derivative of the calibrated step by the heading bias: half the missing heading rotates the step.
-    by_bias[:, 0, 0], by_bias[:, 1, 0] = 0.5 * keys.step_forward * steps[:, 1], -0.5 * keys.step_forward * steps[:, 0]
+    # The derivative of the calibrated step by the heading bias: half the missing heading rotates
+    # the step.
+    by_bias[:, 0, 0], by_bias[:, 1, 0] = (
+        0.5 * keys.step_forward * steps[:, 1],
+        -0.5 * keys.step_forward * steps[:, 0],
+    )
     by_bias[:, 2, 0] = -keys.step_forward
     by_bias[:, :2, 1] = -steps[:, :2] / (1.0 + trajectory.bias[1])
     by_bias[:, 2, 2] = -keys.step[:, 2] - trajectory.bias[3] * keys.step_rate[:, 2]
@@ -69,26 +83,47 @@ def add_odometry(
     count = len(keys)
     first = np.arange(count - 1)
     bias = np.arange(3 * count, 3 * count + ERRORS)
-    columns = np.hstack((pose_columns(first), pose_columns(first + 1), np.tile(bias, (count - 1, 1))))
+    columns = np.hstack(
+        (pose_columns(first), pose_columns(first + 1), np.tile(bias, (count - 1, 1)))
+    )
     equations.add(columns, jacobian, error, _diagonals(1.0 / keys.step_variances))
     prior = np.array([motion.stds]) ** -2.0
     equations.add(bias[None], np.eye(ERRORS)[None], trajectory.bias[None], _diagonals(prior))
 
 
-def add_links(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, links: IntArray, std: float) -> None:
-    """Add links (l, 2) from points to the lines through other points; ``std`` (m) is the standard deviation of each."""
+def add_links(
+    equations: NormalEquations, poses: FloatArray, cloud: PointCloud, links: IntArray, std: float
+) -> None:
+    """Add links (l, 2) from points to the lines through other points; ``std`` (m) is the standard
+    deviation of each.
+    """
     key, other = cloud.key[links].T
     points, others = cloud.places[links.T]
-    errors, jacobian = link_factor(poses[key], poses[other], points, others, cloud.normals[links[:, 1]])
-    add_robust(equations, np.hstack((pose_columns(key), pose_columns(other))), jacobian, errors, std, _LINK_KERNEL)
+    errors, jacobian = link_factor(
+        poses[key], poses[other], points, others, cloud.normals[links[:, 1]]
+    )
+    add_robust(
+        equations,
+        np.hstack((pose_columns(key), pose_columns(other))),
+        jacobian,
+        errors,
+        std,
+        _LINK_KERNEL,
+    )
 
 
 def link_factor(
-    first: FloatArray, second: FloatArray, points: FloatArray, others: FloatArray, normals: FloatArray
+    first: FloatArray,
+    second: FloatArray,
+    points: FloatArray,
+    others: FloatArray,
+    normals: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Distances (l,) of points seen from first poses from the lines through others seen from second poses (l, 3).
+    """Distances (l,) of points seen from first poses from the lines through others seen from second
+    poses (l, 3).
 
-    Also their derivatives (l, 6) by both poses. Points, other points and normals (l, 2) are given in the world.
+    Also their derivatives (l, 6) by both poses. Points, other points and normals (l, 2) are given
+    in the world.
     """
     apart, lever = points - others, others - second[:, :2]
     # A rotation of the second pose moves the point of the line and rotates its normal.
@@ -103,12 +138,19 @@ def cross(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def add_robust(
-    equations: NormalEquations, columns: IntArray, jacobian: FloatArray, errors: FloatArray, std: float, bend: float
+    equations: NormalEquations,
+    columns: IntArray,
+    jacobian: FloatArray,
+    errors: FloatArray,
+    std: float,
+    bend: float,
 ) -> None:
-    """Add factors with columns (f, q), Jacobians (f, q) and errors (f,), m, with the Geman-McClure kernel.
+    """Add factors with columns (f, q), Jacobians (f, q) and errors (f,), m, with the Geman-McClure
+    kernel.
 
-    ``std`` (m) is their standard deviation, and ``bend`` is the scale of the kernel in standard deviations. The factors
-    of the same columns, of which the first and the last one tell them apart, are summed beforehand.
+    ``std`` (m) is their standard deviation, and ``bend`` is the scale of the kernel in standard
+    deviations. The factors of the same columns, of which the first and the last one tell them
+    apart, are summed beforehand.
     """
     if not len(columns):
         return
@@ -125,8 +167,8 @@ def add_robust(
 def loop_weights(chi2: FloatArray, widening: float = 1.0) -> FloatArray:
     """Weights (f,) of loops by dynamic covariance scaling with a kernel that is wider by a factor.
 
-    The weight is min(1, 2 phi / (phi + chi^2))^2 (Agarwal et al., "Robust map optimization using dynamic covariance
-    scaling", 2013).
+    The weight is min(1, 2 phi / (phi + chi^2))^2 (Agarwal et al., "Robust map optimization using
+    dynamic covariance scaling", 2013).
     """
     phi = _LOOP_KERNEL * widening
     return np.asarray(np.minimum(1.0, 2.0 * phi / (phi + chi2)) ** 2)

@@ -1,4 +1,6 @@
-"""Local maps: chunks of a few metres of driving, drawn into small grids for matching with other chunks."""
+"""Local maps: chunks of a few metres of driving, drawn into small grids for matching with other
+chunks.
+"""
 
 from dataclasses import dataclass
 
@@ -14,7 +16,9 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 HIT = 5
-"""Value of an occupied cell. A free cell has the value -3, and an unknown one 0. Scores are sums divided by ``HIT``."""
+"""Value of an occupied cell. A free cell has the value -3, and an unknown one 0. Scores are sums
+divided by ``HIT``.
+"""
 
 Cells = NDArray[np.int8]
 
@@ -42,7 +46,11 @@ def chunk_middles(keys: KeyPoses, config: LocalMapConfig, hop: float) -> IntArra
 
 
 def cut_chunks(
-    keys: KeyPoses, trajectory: Trajectory, config: LocalMapConfig, middles: IntArray, max_range: float
+    keys: KeyPoses,
+    trajectory: Trajectory,
+    config: LocalMapConfig,
+    middles: IntArray,
+    max_range: float,
 ) -> list[LocalMap]:
     """Draw the chunks around the key poses ``middles`` (c,)."""
     points, origins = points_in_keys(keys, trajectory.bias)
@@ -52,10 +60,17 @@ def cut_chunks(
     spans = np.searchsorted(keys.point_key, np.column_stack((begins, ends)))
     maps = []
     for middle, (begin, end) in zip(middles, spans, strict=True):
-        relative = se2.between(trajectory.poses[middle], trajectory.poses[keys.point_key[begin:end]])
-        places, starts = to_world(relative, points[begin:end]), to_world(relative, origins[begin:end])
+        relative = se2.between(
+            trajectory.poses[middle], trajectory.poses[keys.point_key[begin:end]]
+        )
+        places, starts = (
+            to_world(relative, points[begin:end]),
+            to_world(relative, origins[begin:end]),
+        )
         grid = draw_grid(places, starts, max_range, config)
-        maps.append(LocalMap(float(travel[middle]), thinned(places, config.cell), grid, config.cell))
+        maps.append(
+            LocalMap(float(travel[middle]), thinned(places, config.cell), grid, config.cell)
+        )
     return maps
 
 
@@ -65,14 +80,20 @@ def thinned(places: FloatArray, cell: float) -> FloatArray:
     return np.asarray(places[np.sort(first)])
 
 
-def draw_grid(places: FloatArray, origins: FloatArray, max_range: float, config: LocalMapConfig) -> Cells:
-    """A grid (n, n) around the origin, with free cells along the beams and occupied cells around the points."""
+def draw_grid(
+    places: FloatArray, origins: FloatArray, max_range: float, config: LocalMapConfig
+) -> Cells:
+    """A grid (n, n) around the origin, with free cells along the beams and occupied cells around
+    the points.
+    """
     size = 2 * int(np.ceil((config.half + max_range) / config.cell))
     return _draw(places, origins, size, -0.5 * config.cell * size, config.cell, config.hit_radius)
 
 
 @kernel
-def _draw(places: FloatArray, origins: FloatArray, size: int, low: float, cell: float, radius: float) -> Cells:
+def _draw(
+    places: FloatArray, origins: FloatArray, size: int, low: float, cell: float, radius: float
+) -> Cells:
     grid = np.zeros((size, size), np.int8)
     for k in range(len(places)):
         ax, ay = (origins[k, 0] - low) / cell, (origins[k, 1] - low) / cell
@@ -91,7 +112,10 @@ def _draw(places: FloatArray, origins: FloatArray, size: int, low: float, cell: 
     reach = int(np.ceil(radius / cell))
     square = (radius / cell) ** 2 + 1e-9
     for k in range(len(places)):
-        i, j = int(np.floor((places[k, 0] - low) / cell)), int(np.floor((places[k, 1] - low) / cell))
+        i, j = (
+            int(np.floor((places[k, 0] - low) / cell)),
+            int(np.floor((places[k, 1] - low) / cell)),
+        )
         for a in range(-reach, reach + 1):
             for b in range(-reach, reach + 1):
                 if a * a + b * b <= square and 0 <= i + a < size and 0 <= j + b < size:

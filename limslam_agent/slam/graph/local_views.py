@@ -1,11 +1,20 @@
-"""Successive metres of a log compared with each other: what was seen next, placed on what was seen just before."""
+"""Successive metres of a log compared with each other: what was seen next, placed on what was seen
+just before.
+"""
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import LogData, integrate, to_world
 from limslam_agent.slam.graph.local_maps import draw_grid, thinned
-from limslam_agent.slam.graph.matching import LEAST_POINTS, NO_MATCH, SearchGrid, Window, match, search_grid
+from limslam_agent.slam.graph.matching import (
+    LEAST_POINTS,
+    NO_MATCH,
+    SearchGrid,
+    Window,
+    match,
+    search_grid,
+)
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 BEFORE, AFTER = 3.5, 2.0
@@ -31,7 +40,9 @@ class LocalViews:
         self._points = data.origins + data.ranges[..., None] * rays
 
     def known(self, event: int) -> SearchGrid | None:
-        """What was seen in the last metres before an event, in the frame of its pose. None if that is too little."""
+        """What was seen in the last metres before an event, in the frame of its pose. None if that
+        is too little.
+        """
         first = int(np.searchsorted(self.travel, self.travel[event] - BEFORE))
         poses = integrate(np.zeros(3), self.moves[first:event])
         places, origins = self._seen(np.arange(first, event + 1), se2.between(poses[-1], poses))
@@ -41,14 +52,17 @@ class LocalViews:
         return search_grid(grid, self._maps.cell, self._window.shift)
 
     def next_moves(self, event: int, most: float = AFTER) -> FloatArray:
-        """A copy of the motions (k, 3) of the first metres after an event, of at most ``most`` m."""
+        """A copy of the motions (k, 3) of the first metres after an event, of at most ``most``
+        m.
+        """
         end = np.searchsorted(self.travel, self.travel[event] + min(AFTER, most), side="right")
         return self.moves[event : end - 1].copy()
 
     def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> tuple[float, float]:
         """How well that fits which was seen from an event on, along motions (k, 3).
 
-        The score of the best match, and the share of the points that it places where only free space was seen before.
+        The score of the best match, and the share of the points that it places where only free
+        space was seen before.
         """
         events = np.arange(event, event + len(moves) + 1)
         places, _ = self._seen(events, integrate(np.zeros(3), moves))
@@ -70,7 +84,9 @@ def moves_of(data: LogData) -> FloatArray:
 
 
 def _cells_at(grid: SearchGrid, places: FloatArray) -> IntArray:
-    """The cells (k,) of a grid at places (k, 2), m. Outside of the grid nothing is known, as at its border."""
+    """The cells (k,) of a grid at places (k, 2), m. Outside of the grid nothing is known, as at its
+    border.
+    """
     last = np.array(grid.padded.shape) - 1
     rows, columns = np.clip(np.floor((places - grid.low) / grid.cell).astype(np.int64), 0, last).T
     return np.asarray(grid.padded[rows, columns], dtype=np.int64)

@@ -1,14 +1,20 @@
 """Normals of points from their neighbours, and links from points to the lines through other points.
 
-Neighbours are searched in a grid of cells. The points of a cell are sorted by the distance driven, so that the points
-of one section of driving are found without reading the points of other visits.
+Neighbours are searched in a grid of cells. The points of a cell are sorted by the distance driven,
+so that the points of one section of driving are found without reading the points of other visits.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, points_in_keys, to_world
+from limslam_agent.slam.graph.key_poses import (
+    ANOTHER_VISIT,
+    KeyPoses,
+    Trajectory,
+    points_in_keys,
+    to_world,
+)
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -16,16 +22,23 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _ROW = 1 << 24
-# Neighbours of a point within this distance, m, and this distance driven, m, determine its normal. It is reliable with
-# at least so many neighbours, this standard deviation along the line, at most this one across, m, this ratio of the two
-# variances, and at least this sine of the angle between beam and wall.
+# Neighbours of a point within this distance, m, and this distance driven, m, determine its normal.
+# It is reliable with at least so many neighbours, this standard deviation along the line, at most
+# this one across, m, this ratio of the two variances, and at least this sine of the angle between
+# beam and wall.
 _NORMAL_RADIUS, _NORMAL_TRAVEL = 0.4, 3.0
 _MIN_NEIGHBOURS, _MIN_SPREAD, _MAX_THICKNESS, _MAX_RATIO, _MIN_INCIDENCE = 5, 0.07, 0.05, 0.15, 0.17
 _RADIUS = 0.35  # m, within which points are linked
-_BANDS = 0.4, 1.2, 3.0, 10.0  # borders of the bands of distance driven, m; the nearest point of each band is linked
+_BANDS = (
+    0.4,
+    1.2,
+    3.0,
+    10.0,
+)  # borders of the bands of distance driven, m; the nearest point of each band is linked
 MIN_COSINE = 0.85
 """Least cosine between the normals of what lies on one wall."""
-_MAX_OFFSET = 0.7  # largest distance from the line of points that are linked along the way, as a share of the radius
+# largest distance from the line of points that are linked along the way, as a share of the radius
+_MAX_OFFSET = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,10 +65,11 @@ def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> Poi
 def find_normals(
     places: FloatArray, origins: FloatArray, travel: FloatArray, range_std: float
 ) -> tuple[FloatArray, BoolArray]:
-    """Normals (p, 2) of points by principal component analysis of their neighbours, and whether they are reliable.
+    """Normals (p, 2) of points by principal component analysis of their neighbours, and whether
+    they are reliable.
 
-    Neighbours belong to the same section of driving: the distance between two points includes the distance driven
-    between them. Normals point towards the beams' origins.
+    Neighbours belong to the same section of driving: the distance between two points includes the
+    distance driven between them. Normals point towards the beams' origins.
     """
     index = _index(places, travel, _NORMAL_RADIUS)
     thickness = _MAX_THICKNESS**2 + range_std**2
@@ -64,7 +78,9 @@ def find_normals(
 
 
 def links_along(cloud: PointCloud) -> IntArray:
-    """Links (l, 2) between points of one section of driving, to the nearest point in each band of distance driven."""
+    """Links (l, 2) between points of one section of driving, to the nearest point in each band of
+    distance driven.
+    """
     return _links(cloud, _RADIUS, _BANDS, _MAX_OFFSET * _RADIUS)
 
 
@@ -73,15 +89,30 @@ def links_across(cloud: PointCloud, radius: float) -> IntArray:
     return _links(cloud, radius, (ANOTHER_VISIT, np.inf), radius)
 
 
-def _links(cloud: PointCloud, radius: float, borders: tuple[float, ...], most_off: float) -> IntArray:
-    """Links (l, 2) to the nearest point within a radius, m, and ``most_off`` m of its line, in each band of driving."""
+def _links(
+    cloud: PointCloud, radius: float, borders: tuple[float, ...], most_off: float
+) -> IntArray:
+    """Links (l, 2) to the nearest point within a radius, m, and ``most_off`` m of its line, in each
+    band of driving.
+    """
     limits = np.array([radius, MIN_COSINE, most_off])
     index = _index(cloud.places, cloud.travel, radius)
-    return _nearest(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, np.array(borders), limits)
+    return _nearest(
+        cloud.places,
+        cloud.normals,
+        cloud.good,
+        cloud.travel,
+        cloud.key,
+        *index,
+        np.array(borders),
+        limits,
+    )
 
 
 def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArray, IntArray, float]:
-    """Cells (p,) in ascending order, their points (p,) in the order of driving, and the side of a cell, m."""
+    """Cells (p,) in ascending order, their points (p,) in the order of driving, and the side of a
+    cell, m.
+    """
     cells = np.floor(places / side).astype(np.int64)
     number = cells[:, 0] * _ROW + cells[:, 1]
     order = np.lexsort((travel, number))
@@ -89,8 +120,12 @@ def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArra
 
 
 @kernel
-def _span(cells: IntArray, order: IntArray, travel: FloatArray, cell: int, low: float, high: float) -> tuple[int, int]:
-    """First and last (excluded) index in ``order`` of a cell's points that were seen between two distances driven."""
+def _span(
+    cells: IntArray, order: IntArray, travel: FloatArray, cell: int, low: float, high: float
+) -> tuple[int, int]:
+    """First and last (excluded) index in ``order`` of a cell's points that were seen between two
+    distances driven.
+    """
     begin, end = int(np.searchsorted(cells, cell)), int(np.searchsorted(cells, cell + 1))
     while begin < end and travel[order[begin]] < low:
         begin += 1
@@ -141,7 +176,11 @@ def _normals(
         normals[i, 0], normals[i, 1] = nx, ny
         wide, thin = middle + half, middle - half
         straight = wide > limits[1] and thin < limits[2] and thin < limits[3] * wide
-        good[i] = n >= limits[0] and straight and abs(towards) > limits[4] * max(np.sqrt(ox * ox + oy * oy), 1e-6)
+        good[i] = (
+            n >= limits[0]
+            and straight
+            and abs(towards) > limits[4] * max(np.sqrt(ox * ox + oy * oy), 1e-6)
+        )
     return normals, good
 
 
@@ -191,7 +230,10 @@ def _nearest(
                     if square >= nearest[band]:
                         continue
                     cosine = normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1]
-                    if cosine > limits[1] and abs(dx * normals[j, 0] + dy * normals[j, 1]) < limits[2]:
+                    if (
+                        cosine > limits[1]
+                        and abs(dx * normals[j, 0] + dy * normals[j, 1]) < limits[2]
+                    ):
                         best[band], nearest[band] = j, square
         for band in range(bands):
             if best[band] >= 0:

@@ -1,7 +1,7 @@
 """How exactly a smoothed path is known, by the posterior covariance of its graph.
 
-A stretch that no loop holds is known as exactly as odometry and its links say. How good the odometry is
-follows from the path itself: its variances are estimated by expectation maximisation.
+A stretch that no loop holds is known as exactly as odometry and its links say. How good the
+odometry is follows from the path itself: its variances are estimated by expectation maximisation.
 """
 
 from dataclasses import replace
@@ -15,14 +15,19 @@ from limslam_agent.slam.graph.smoothing import cautious_equations
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray
 
-# Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies between two windows, and
-# between two poses that are judged, unless there would be more than so many.
+# Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies
+# between two windows, and between two poses that are judged, unless there would be more than so
+# many.
 _WINDOW, _MOST = 14.0, 60
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
 def position_std(
-    keys: KeyPoses, trajectory: Trajectory, relations: Relations, config: GraphConfig, range_std: float
+    keys: KeyPoses,
+    trajectory: Trajectory,
+    relations: Relations,
+    config: GraphConfig,
+    range_std: float,
 ) -> float:
     """Expected root mean square error of the positions of a path after rigid alignment, m.
 
@@ -52,7 +57,8 @@ def position_std(
 
 
 def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatArray:
-    """The joint covariance (2 k, 2 k) of positions (k, 2), m, after their rigid alignment with the true ones.
+    """The joint covariance (2 k, 2 k) of positions (k, 2), m, after their rigid alignment with the
+    true ones.
 
     The alignment removes what moves and turns all positions together: an orthogonal projection.
     """
@@ -65,19 +71,26 @@ def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatAr
     return np.asarray(half - (half @ basis) @ basis.T)
 
 
-def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, equations: NormalEquations) -> FloatArray:
+def odometry_ratios(
+    keys: KeyPoses, trajectory: Trajectory, equations: NormalEquations
+) -> FloatArray:
     """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
 
-    One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the errors of odometry over
-    some metres, and their posterior variances in the ``equations`` of the path.
+    One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the
+    errors of odometry over some metres, and their posterior variances in the ``equations`` of the
+    path.
     """
     errors, jacobian = odometry_factor(keys, trajectory)
     begins = np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1] - _WINDOW))
-    ends = np.minimum(np.searchsorted(keys.key_travel, keys.key_travel[begins] + _WINDOW), len(errors))
+    ends = np.minimum(
+        np.searchsorted(keys.key_travel, keys.key_travel[begins] + _WINDOW), len(errors)
+    )
     begins = np.minimum(begins, ends - 1)
     biases = np.arange(3 * len(keys), 3 * len(keys) + jacobian.shape[2] - 6)
     first = np.arange(len(errors))
-    columns = np.hstack((pose_columns(first), pose_columns(first + 1), np.tile(biases, (len(first), 1))))
+    columns = np.hstack(
+        (pose_columns(first), pose_columns(first + 1), np.tile(biases, (len(first), 1)))
+    )
     sums = np.zeros((len(begins), 3, equations.size))
     squares, assumed = np.zeros((len(begins), 3)), np.zeros((len(begins), 3))
     for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):

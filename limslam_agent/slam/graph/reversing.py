@@ -1,14 +1,16 @@
 """Stretches that a robot drove backwards, in logs whose odometry never says so.
 
-Encoders with a single channel count distances without a sign, and so do some converted logs: on ``fr079`` odometry says
-"ahead" for all of its 393 m, and the robot drove backwards at 14 places. Such a stretch of 3 m is an error of 6 m,
-which no model of noise explains.
+Encoders with a single channel count distances without a sign, and so do some converted logs: on
+``fr079`` odometry says "ahead" for all of its 393 m, and the robot drove backwards at 14 places.
+Such a stretch of 3 m is an error of 6 m, which no model of noise explains.
 
-A robot can change its direction only where it stops. After a stop it sees the walls that it has seen before the stop
-again: from where it has been before, if it drives backwards, and from ahead otherwise. Both are tried.
+A robot can change its direction only where it stops. After a stop it sees the walls that it has
+seen before the stop again: from where it has been before, if it drives backwards, and from ahead
+otherwise. Both are tried.
 
-New ground ahead fits worse than known ground behind in any case, above all in corridors and halls. So a log is changed
-only if driving ahead contradicts what was seen in several stretches: walls would stand where there was free space.
+New ground ahead fits worse than known ground behind in any case, above all in corridors and halls.
+So a log is changed only if driving ahead contradicts what was seen in several stretches: walls
+would stand where there was free space.
 """
 
 import math
@@ -27,19 +29,22 @@ from limslam_env.geometry import FloatArray, IntArray
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 LEAST_LENGTH = 0.15
-"""Shorter stretches, m, are not judged. Odometry that reports less driving backwards in all has no sign."""
+"""Shorter stretches, m, are not judged. Odometry that reports less driving backwards in all has no
+sign.
+"""
 _BEYOND = 1.0  # m of driving after a short stretch that are compared with it
 _WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
-# A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this for each metre,
-# since in a corridor both directions fit.
+# A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this
+# for each metre, since in a corridor both directions fit.
 _LEAD, _LEAD_PER_METRE = 0.12, 0.06
 
 
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     """The log with the motions turned round that the ranges say were driven backwards.
 
-    A log whose odometry reports driving backwards itself stays as it is, and so does a log whose beams reach less far
-    than what is compared, or one in which nearly no stretch contradicts that it was driven ahead.
+    A log whose odometry reports driving backwards itself stays as it is, and so does a log whose
+    beams reach less far than what is compared, or one in which nearly no stretch contradicts that
+    it was driven ahead.
     """
     if data.max_range < AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
@@ -55,15 +60,25 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
         leads[best], turned[best] = NO_MATCH, True
         _turn_round(views, *stretches[best])
         # The stretches whose comparison uses this stretch are judged again.
-        near = (begins <= ends[best] + BEFORE + AFTER) & (ends >= begins[best] - BEFORE - AFTER) & ~turned
+        near = (
+            (begins <= ends[best] + BEFORE + AFTER)
+            & (ends >= begins[best] - BEFORE - AFTER)
+            & ~turned
+        )
         leads[near] = [_judged(views, *each)[0] for each in stretches[near].tolist()]
-    return replace(data, odometry=integrate(data.odometry[0], views.moves)) if turned.any() else data
+    return (
+        replace(data, odometry=integrate(data.odometry[0], views.moves)) if turned.any() else data
+    )
 
 
-def driven_backwards(data: LogData, config: GraphConfig, since: int) -> Iterator[tuple[int, int, bool]]:
-    """Stretches at the end of a drive that look reversed: first and last event, and whether that is a proof.
+def driven_backwards(
+    data: LogData, config: GraphConfig, since: int
+) -> Iterator[tuple[int, int, bool]]:
+    """Stretches at the end of a drive that look reversed: first and last event, and whether that is
+    a proof.
 
-    Those are judged, in their order, after which enough has been seen only since the event ``since``.
+    Those are judged, in their order, after which enough has been seen only since the event
+    ``since``.
     """
     if data.max_range < AFTER:
         return
@@ -87,7 +102,9 @@ def _is_proof(judged: tuple[float, float], config: GraphConfig) -> bool:
 
 
 def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
-    """Distance that is driven backwards in the second log and not in the first one, m, and the number of stretches."""
+    """Distance that is driven backwards in the second log and not in the first one, m, and the
+    number of stretches.
+    """
     before, after = (moves_of(each)[:, 0] for each in (data, directed))
     backwards = (after < 0.0) & (before > 0.0)
     begins = backwards & ~np.append(False, backwards[:-1])
@@ -114,7 +131,11 @@ def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:
     """First and last event (k, 2) of the stretches between stops."""
     speeds = _speeds(np.maximum.accumulate(time), travel)
     driving = speeds[np.diff(travel) > 0.0]
-    moving = speeds >= _SLOW * np.median(driving) if len(driving) else np.zeros(len(speeds), dtype=np.bool_)
+    moving = (
+        speeds >= _SLOW * np.median(driving)
+        if len(driving)
+        else np.zeros(len(speeds), dtype=np.bool_)
+    )
     changes = np.diff(np.concatenate(([False], moving, [False])).astype(np.int64))
     found = np.column_stack((np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)))
     return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= LEAST_LENGTH])
@@ -123,7 +144,8 @@ def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:
 def _speeds(time: FloatArray, travel: FloatArray) -> FloatArray:
     """Mean speeds (n - 1,) between events, m/s, each over ``_LEAST_PERIOD`` at least.
 
-    Odometry that is read twice at nearly the same time, for itself and with a scan, has not stopped in between.
+    Odometry that is read twice at nearly the same time, for itself and with a scan, has not stopped
+    in between.
     """
     middles, half = 0.5 * (time[1:] + time[:-1]), 0.5 * np.maximum(np.diff(time), _LEAST_PERIOD)
     ends = np.interp(middles + half, time, travel)

@@ -1,7 +1,8 @@
-"""The smoothing of a log: all stages of the graph of local maps in order. No stage uses the ground truth.
+"""The smoothing of a log: all stages of the graph of local maps in order. No stage uses the ground
+truth.
 
-The log is solved in a frame in which it begins at the origin, and the result is then transformed to the start pose. The
-result therefore does not depend on the start pose.
+The log is solved in a frame in which it begins at the origin, and the result is then transformed to
+the start pose. The result therefore does not depend on the start pose.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -37,10 +38,16 @@ from limslam_agent.slam.graph.key_poses import (
 )
 from limslam_agent.slam.graph.least_squares import Relations
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.graph.smoothing import bundle, cautious_equations, motion_covariances, smooth_locally
+from limslam_agent.slam.graph.smoothing import (
+    bundle,
+    cautious_equations,
+    motion_covariances,
+    smooth_locally,
+)
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-# How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
+# How often the delay of the ranges is estimated and corrected before the search. A correction of
+# less, s, is the last.
 _SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
 
 
@@ -48,7 +55,9 @@ _SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
 class GraphResult:
     """A smoothed log, or two logs that were smoothed as one."""
 
-    kind: str  # what the path follows: ``loops``, ``local`` (odometry and the walls along the way) or ``odometry``
+    # what the path follows: ``loops``, ``local`` (odometry and the walls along the way) or
+    # ``odometry``
+    kind: str
     # keys, trajectory: the key poses and their trajectory
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
@@ -76,8 +85,11 @@ def saying(where: str, report: Report) -> Report:
     return lambda stage: report(f"{where}, {stage}")
 
 
-def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> Iterator[GraphResult]:
-    """Smooth a log after its end, and again without an end: each path gives better local maps for the next search.
+def rounds(
+    data: LogData, start: FloatArray, config: GraphConfig, report: Report
+) -> Iterator[GraphResult]:
+    """Smooth a log after its end, and again without an end: each path gives better local maps for
+    the next search.
 
     A log without loops has one round.
 
@@ -95,7 +107,9 @@ def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report
     report("local smoothing")
     data, keys, local, known = _synchronised(data, config)
     problem, trajectory = LogProblem(keys, local, data, config), local
-    has_loops = len(keys.point_key) > 0 and len(chunk_middles(keys, config.maps, config.maps.hop)) > 1
+    has_loops = (
+        len(keys.point_key) > 0 and len(chunk_middles(keys, config.maps, config.maps.hop)) > 1
+    )
     while True:
         if has_loops:
             found = smooth_with_loops(problem, trajectory, report)
@@ -109,10 +123,14 @@ def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report
             return
 
 
-def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:
-    """The log with its odometry at the times of the ranges, its local trajectory, and what was corrected (5,).
+def _synchronised(
+    data: LogData, config: GraphConfig
+) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:
+    """The log with its odometry at the times of the ranges, its local trajectory, and what was
+    corrected (5,).
 
-    The motions between key poses are linear in the delay for short delays only, so the delay is estimated repeatedly.
+    The motions between key poses are linear in the delay for short delays only, so the delay is
+    estimated repeatedly.
     """
     known, delay = np.zeros(ERRORS), 0.0
     for _ in range(_SYNCHRONISATIONS):
@@ -146,7 +164,9 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     equations = cautious_equations(keys, problem.local, config, data.range_std)
     covariances = inflated(motion_covariances(equations, problem.local.poses, middles))
     hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-    found = search_loops(cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops)
+    found = search_loops(
+        cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops
+    )
     good = supported(found, poses, keys.key_travel[middles])
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
@@ -155,7 +175,11 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
         replace(loop, reason=KEPT if weight > KEPT_WEIGHT else OUTVOTED)
         for loop, weight in zip(loops, weights, strict=True)
     ]
-    judged += [replace(loop, reason=NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
+    judged += [
+        replace(loop, reason=NO_SUPPORT)
+        for loop, agreed in zip(found, good, strict=True)
+        if not agreed
+    ]
     moved = carry_over(keys, trajectory, middles, solved)
     kept = _between_keys([loop for loop in judged if loop.reason == KEPT], middles)
     smoothed = bundle(keys, moved, kept, config, data.range_std)

@@ -1,8 +1,10 @@
-"""Smoothing of key poses: along the way, before any loop is known, and with loops and other visits, in the bundle.
+"""Smoothing of key poses: along the way, before any loop is known, and with loops and other visits,
+in the bundle.
 
-All associations of points are made anew at each iteration. Along the way, each step is applied to the relative motions
-between key poses, which are then integrated again: a rotation in the middle of the log moves all later poses. The
-bundle adds its steps to the poses, since the chunk graph has given initial poses that are accurate enough.
+All associations of points are made anew at each iteration. Along the way, each step is applied to
+the relative motions between key poses, which are then integrated again: a rotation in the middle of
+the log moves all later poses. The bundle adds its steps to the poses, since the chunk graph has
+given initial poses that are accurate enough.
 """
 
 from dataclasses import replace
@@ -11,47 +13,80 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import Relations, add_links, add_odometry, add_relations, relation_factor
+from limslam_agent.slam.graph.least_squares import (
+    Relations,
+    add_links,
+    add_odometry,
+    add_relations,
+    relation_factor,
+)
 from limslam_agent.slam.graph.point_links import links_across, links_along, point_cloud
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 _LINK_STD, _LINE_STD = 0.08, 0.12  # m, beside the noise of a range
-_INFLATION = 1.5  # of the standard deviations of links, where more than the local trajectory follows from them
+# of the standard deviations of links, where more than the local trajectory follows from them
+_INFLATION = 1.5
 _BUNDLE_ITERATIONS = 6
-_RADIUS, _LAST_RADIUS = 0.4, 0.2  # m, within which points of different visits are linked, at first and at last
+_RADIUS, _LAST_RADIUS = (
+    0.4,
+    0.2,
+)  # m, within which points of different visits are linked, at first and at last
 _FIRST_WINDOW = 4.0  # m, in which walls are found in the first iteration with walls
 
 
-def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float) -> Trajectory:
+def smooth_locally(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
+) -> Trajectory:
     """Smooth along the way, first with links alone, then with walls in windows that grow.
 
-    Without walls, the headings drift. With walls from the start, the estimated bias of odometry is wrong. Tolerances
-    shrink in both parts.
+    Without walls, the headings drift. With walls from the start, the estimated bias of odometry is
+    wrong. Tolerances shrink in both parts.
     """
     counts, walls = config.smoothing, config.lines
     for number in range(counts.link_iterations):
         widening = max(1.0, 2.0 * 0.7**number)
-        trajectory = _chained(trajectory, _equations(keys, trajectory, config, range_std, link_factor=widening).solve())
+        trajectory = _chained(
+            trajectory,
+            _equations(keys, trajectory, config, range_std, link_factor=widening).solve(),
+        )
     last = max(1, counts.line_iterations - 3)
     for number in range(counts.line_iterations):
         progress = min(1.0, number / last)
-        window, widening = _FIRST_WINDOW + (walls.window - _FIRST_WINDOW) * progress, 1.8 - 0.8 * progress
-        near = replace(config, lines=replace(walls, window=window, tolerance=widening * walls.tolerance))
+        window, widening = (
+            _FIRST_WINDOW + (walls.window - _FIRST_WINDOW) * progress,
+            1.8 - 0.8 * progress,
+        )
+        near = replace(
+            config, lines=replace(walls, window=window, tolerance=widening * walls.tolerance)
+        )
         equations = _equations(keys, trajectory, near, range_std, wall_factor=widening)
         trajectory = _chained(trajectory, equations.solve())
     return trajectory
 
 
 def bundle(
-    keys: KeyPoses, trajectory: Trajectory, relations: Relations, config: GraphConfig, range_std: float
+    keys: KeyPoses,
+    trajectory: Trajectory,
+    relations: Relations,
+    config: GraphConfig,
+    range_std: float,
 ) -> Trajectory:
-    """Solve for all key poses with walls, loops, and links between visits, which are nearer at each iteration."""
+    """Solve for all key poses with walls, loops, and links between visits, which are nearer at each
+    iteration.
+    """
     for number in range(_BUNDLE_ITERATIONS):
         radius = _RADIUS * (_LAST_RADIUS / _RADIUS) ** (number / (_BUNDLE_ITERATIONS - 1))
         equations = _equations(
-            keys, trajectory, config, range_std, relations, link_factor=_INFLATION, wall_factor=1.0, radius=radius
+            keys,
+            trajectory,
+            config,
+            range_std,
+            relations,
+            link_factor=_INFLATION,
+            wall_factor=1.0,
+            radius=radius,
         )
         by_poses, by_bias = _divided(equations.solve(), len(keys))
         poses = trajectory.poses + by_poses
@@ -61,14 +96,24 @@ def bundle(
 
 
 def cautious_equations(
-    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float, relations: Relations | None = None
+    keys: KeyPoses,
+    trajectory: Trajectory,
+    config: GraphConfig,
+    range_std: float,
+    relations: Relations | None = None,
 ) -> NormalEquations:
-    """Normal equations of a smoothed trajectory by odometry, links along the way and loops, for its covariances."""
+    """Normal equations of a smoothed trajectory by odometry, links along the way and loops, for its
+    covariances.
+    """
     return _equations(keys, trajectory, config, range_std, relations, link_factor=_INFLATION)
 
 
-def motion_covariances(equations: NormalEquations, poses: FloatArray, numbers: IntArray) -> FloatArray:
-    """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses (m, 3)."""
+def motion_covariances(
+    equations: NormalEquations, poses: FloatArray, numbers: IntArray
+) -> FloatArray:
+    """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses
+    (m, 3).
+    """
     first, second = numbers[:-1], numbers[1:]
     _, jacobian = relation_factor(poses, first, second, np.zeros((len(first), 3)))
     return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
@@ -85,10 +130,11 @@ def _equations(
     wall_factor: float = 0.0,
     radius: float = 0.0,
 ) -> NormalEquations:
-    """Normal equations of odometry, links along the way, and walls, links between visits and loops if asked.
+    """Normal equations of odometry, links along the way, and walls, links between visits and loops
+    if asked.
 
-    The factors are those of the standard deviations of points about links and walls. ``radius`` is that of links
-    between visits, m.
+    The factors are those of the standard deviations of points about links and walls. ``radius`` is
+    that of links between visits, m.
     """
     cloud, poses = point_cloud(keys, trajectory, range_std), trajectory.poses
     lines = find_lines(cloud, config.lines) if wall_factor else None
@@ -98,7 +144,9 @@ def _equations(
     add_links(equations, poses, cloud, links_along(cloud), link_factor * link_std)
     if radius:
         widening = max(1.0, radius / _LAST_RADIUS)
-        add_links(equations, poses, cloud, links_across(cloud, radius), widening * link_factor * link_std)
+        add_links(
+            equations, poses, cloud, links_across(cloud, radius), widening * link_factor * link_std
+        )
     if lines:
         add_lines(equations, poses, cloud, lines, wall_factor * line_std)
     if relations:
@@ -110,10 +158,14 @@ def _chained(trajectory: Trajectory, step: FloatArray) -> Trajectory:
     """Apply a step to the relative motions between key poses and integrate them again."""
     count = len(trajectory.poses)
     first = np.arange(count - 1)
-    motions, jacobian = relation_factor(trajectory.poses, first, first + 1, np.zeros((count - 1, 3)))
+    motions, jacobian = relation_factor(
+        trajectory.poses, first, first + 1, np.zeros((count - 1, 3))
+    )
     by_poses, by_bias = _divided(step, count)
     change = np.einsum("fij,fj->fi", jacobian, np.hstack((by_poses[:-1], by_poses[1:])))
-    return Trajectory(integrate(trajectory.poses[0] + by_poses[0], motions + change), trajectory.bias + by_bias)
+    return Trajectory(
+        integrate(trajectory.poses[0] + by_poses[0], motions + change), trajectory.bias + by_bias
+    )
 
 
 def _divided(step: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 """Straight walls, found by the Hough transform in windows of distance driven.
 
-The points of a line are removed, and lines are searched again until there are no more. In the least-squares problem a
-line has two unknowns: a rotation about its centre and an offset.
+The points of a line are removed, and lines are searched again until there are no more. In the
+least-squares problem a line has two unknowns: a rotation about its centre and an offset.
 """
 
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ class WallLines:
     angles, centres
         Directions of the normals (l,), rad, and centres (l, 2), m.
     points, lines
-        Assignments (k,): a point and its line, sorted by line and then by point. A point may belong to one line in each
-        window that contains the point.
+        Assignments (k,): a point and its line, sorted by line and then by point. A point may belong
+        to one line in each window that contains the point.
     """
 
     angles: FloatArray
@@ -48,9 +48,15 @@ def find_lines(cloud: PointCloud, config: WallLineConfig) -> WallLines:
 
 
 def lines_in(
-    places: FloatArray, normals: FloatArray, good: BoolArray, spans: IntArray, config: WallLineConfig
+    places: FloatArray,
+    normals: FloatArray,
+    good: BoolArray,
+    spans: IntArray,
+    config: WallLineConfig,
 ) -> WallLines:
-    """Lines among the points of each span (w, 2), which is given by its first point and its last point (excluded)."""
+    """Lines among the points of each span (w, 2), which is given by its first point and its last
+    point (excluded).
+    """
     none = np.zeros(0, dtype=np.int64)
     angles, centres, points, owners, count = [np.zeros(0)], [no_rows(2)], [none], [none], 0
     for begin, end in spans.tolist():
@@ -60,29 +66,43 @@ def lines_in(
         firsts = np.flatnonzero(np.diff(label[members], prepend=-1))
         sizes = np.diff(firsts, append=len(members))[:, None]
         angles.append(turns)
-        centres.append(np.add.reduceat(places[begin + members], firsts) / sizes if len(turns) else no_rows(2))
+        centres.append(
+            np.add.reduceat(places[begin + members], firsts) / sizes if len(turns) else no_rows(2)
+        )
         points.append(begin + members)
         owners.append(count + label[members])
         count += len(turns)
-    found = np.concatenate(angles), np.concatenate(centres), np.concatenate(points), np.concatenate(owners)
+    found = (
+        np.concatenate(angles),
+        np.concatenate(centres),
+        np.concatenate(points),
+        np.concatenate(owners),
+    )
     return WallLines(*found)
 
 
 def _window(
     places: FloatArray, normals: FloatArray, good: BoolArray, config: WallLineConfig
 ) -> tuple[IntArray, FloatArray]:
-    """The line of each point (p,) of a window, -1 for none, and the directions (l,) of the lines' normals, rad.
+    """The line of each point (p,) of a window, -1 for none, and the directions (l,) of the lines'
+    normals, rad.
 
-    Only points whose own normal is reliable vote. A line has those of them whose normals are close to its own, and the
-    points without a reliable normal between its ends.
+    Only points whose own normal is reliable vote. A line has those of them whose normals are close
+    to its own, and the points without a reliable normal between its ends.
     """
     label, found, reach, count = np.full(len(places), -1), [no_rows(2)], [no_rows(2)], 0
     while True:
         voters = np.flatnonzero(good & (label < 0))
         owner, lines, ends = extract_lines(
-            places[voters], config.max_gap, config.min_points, _OFFSET_BIN, config.angle_bin, config.tolerance,
-            config.min_length, only_best=False,
-        )  # fmt: skip
+            places[voters],
+            config.max_gap,
+            config.min_points,
+            _OFFSET_BIN,
+            config.angle_bin,
+            config.tolerance,
+            config.min_length,
+            only_best=False,
+        )
         voters, owner = voters[owner >= 0], owner[owner >= 0]
         cosines = np.sum(normals[voters] * normal(lines)[owner], axis=1)
         sides = np.sign(np.bincount(owner, cosines, len(lines)))
@@ -93,7 +113,10 @@ def _window(
             break
         label[voters[fits]] = count + (np.cumsum(enough) - 1)[owner[fits]]
         # Lines whose normal points away from the side that they are seen from are turned round.
-        lines[:, 0], lines[:, 1] = sides * lines[:, 0], lines[:, 1] + np.where(sides < 0.0, np.pi, 0.0)
+        lines[:, 0], lines[:, 1] = (
+            sides * lines[:, 0],
+            lines[:, 1] + np.where(sides < 0.0, np.pi, 0.0),
+        )
         along = np.einsum("led,ld->le", ends, direction(lines))
         found.append(lines[enough])
         reach.append(np.sort(along[enough], axis=1))
@@ -107,27 +130,37 @@ def _window(
     return label, every[:, 1]
 
 
-def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float) -> None:
-    """Add the distances of points from their lines, with the Geman-McClure kernel, and a weak prior of the lines.
+def add_lines(
+    equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float
+) -> None:
+    """Add the distances of points from their lines, with the Geman-McClure kernel, and a weak prior
+    of the lines.
 
     ``std`` (m) is the standard deviation of a point about its line, and the scale of the kernel.
     """
     key, own = cloud.key[lines.points], lines.lines
-    errors, jacobian = line_factor(poses[key], cloud.places[lines.points], lines.angles[own], lines.centres[own])
+    errors, jacobian = line_factor(
+        poses[key], cloud.places[lines.points], lines.angles[own], lines.centres[own]
+    )
     first = 3 * len(poses) + ERRORS
     columns = np.hstack((pose_columns(key), first + 2 * own[:, None] + np.arange(2)))
     add_robust(equations, columns, jacobian, errors, std, 1.0)
     unknowns = first + np.arange(2 * len(lines.angles)).reshape(-1, 2)
-    equations.add(unknowns, np.tile(0.1 * np.eye(2), (len(unknowns), 1, 1)), np.zeros((len(unknowns), 2)))
+    equations.add(
+        unknowns, np.tile(0.1 * np.eye(2), (len(unknowns), 1, 1)), np.zeros((len(unknowns), 2))
+    )
 
 
 def line_factor(
     poses: FloatArray, places: FloatArray, angles: FloatArray, centres: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Distances (k,) of points, seen from poses (k, 3), from lines; and their derivatives (k, 5) by pose and line.
+    """Distances (k,) of points, seen from poses (k, 3), from lines; and their derivatives (k, 5) by
+    pose and line.
 
     Points and centres of lines (k, 2) are given in the world.
     """
     normals, off = np.column_stack((np.cos(angles), np.sin(angles))), places - centres
     by_pose = np.column_stack((normals, cross(places - poses[:, :2], normals)))
-    return np.sum(normals * off, axis=1), np.column_stack((by_pose, cross(normals, off), -np.ones(len(off))))
+    return np.sum(normals * off, axis=1), np.column_stack(
+        (by_pose, cross(normals, off), -np.ones(len(off)))
+    )

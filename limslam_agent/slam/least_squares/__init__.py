@@ -1,1 +1,3 @@
-"""Least squares: the sparse normal equations of a graph, their solution, and covariances of its unknowns."""
+"""Least squares: the sparse normal equations of a graph, their solution, and covariances of its
+unknowns.
+"""

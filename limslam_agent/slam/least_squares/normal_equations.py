@@ -1,4 +1,6 @@
-"""The sparse normal equations to which the factors of a graph are added, their solution, and covariances."""
+"""The sparse normal equations to which the factors of a graph are added, their solution, and
+covariances.
+"""
 
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,8 +17,9 @@ kernel = entry_of(__name__)
 
 _FIXED = 3
 _AT_ONCE = 32
-# Share of the product of two unknowns' scales, at random. splu drops exact zeros, and a number that is never zero keeps
-# all places that the recursion of covariances visits. It is below the rounding errors of the matrix.
+# Share of the product of two unknowns' scales, at random. splu drops exact zeros, and a number that
+# is never zero keeps all places that the recursion of covariances visits. It is below the rounding
+# errors of the matrix.
 _NEVER_ZERO = 1e-16
 
 
@@ -38,8 +41,8 @@ class NormalEquations:
     size
         Number of unknowns.
     order
-        The unknowns that are solved for, in the order of their elimination. The others are fixed. None if only the
-        first pose is fixed, and the sparsity of the matrix gives the order.
+        The unknowns that are solved for, in the order of their elimination. The others are fixed.
+        None if only the first pose is fixed, and the sparsity of the matrix gives the order.
     gradient
         (size,) the sum of J^T W e.
     """
@@ -63,14 +66,23 @@ class NormalEquations:
         self._places[np.append(self._free, np.flatnonzero(is_fixed))] = np.arange(self.size)
 
     def add(
-        self, columns: IntArray, jacobian: FloatArray, error: FloatArray, information: FloatArray | None = None
+        self,
+        columns: IntArray,
+        jacobian: FloatArray,
+        error: FloatArray,
+        information: FloatArray | None = None,
     ) -> None:
-        """Add factors with columns (f, q), Jacobians (f, d, q), errors (f, d) and information matrices (f, d, d).
+        """Add factors with columns (f, q), Jacobians (f, d, q), errors (f, d) and information
+        matrices (f, d, d).
 
         Jacobians and errors are divided by standard deviations if there is no information matrix.
         """
         weighted = jacobian if information is None else information @ jacobian
-        self.add_blocks(columns, jacobian.transpose(0, 2, 1) @ weighted, np.einsum("fdq,fd->fq", weighted, error))
+        self.add_blocks(
+            columns,
+            jacobian.transpose(0, 2, 1) @ weighted,
+            np.einsum("fdq,fd->fq", weighted, error),
+        )
 
     def add_blocks(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
         """Add given sums: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
@@ -95,13 +107,17 @@ class NormalEquations:
         return -self.solved(self.factorise(), self.gradient)
 
     def solved(self, factors: SuperLU, right: FloatArray) -> FloatArray:
-        """The inverse of the matrix times ``right`` (size, ...). The rows of fixed unknowns are zero."""
+        """The inverse of the matrix times ``right`` (size, ...). The rows of fixed unknowns are
+        zero.
+        """
         solved = np.zeros_like(right)
         solved[self._free] = factors.solve(right[self._free])
         return solved
 
     def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
+        """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns
+        ``columns`` (f, q).
+        """
         factors, (count, height, _) = self.factorise(), jacobian.shape
         found = np.empty((count, height, height))
         # A few at a time, since each needs dense columns of all unknowns.
@@ -115,7 +131,9 @@ class NormalEquations:
         return found
 
     def covariance_of_last(self, factors: SuperLU, count: int) -> FloatArray:
-        """Joint covariance (count, count) of the last unknowns of an order, all of which are coupled to each other."""
+        """Joint covariance (count, count) of the last unknowns of an order, all of which are
+        coupled to each other.
+        """
         lower, upper = (each[-count:, -count:].toarray() for each in (factors.L, factors.U))
         if not (upper.diagonal() > 0.0).all():
             raise DegenerateError("the factors do not determine the unknowns")
@@ -123,16 +141,27 @@ class NormalEquations:
         return np.asarray(0.5 * (inverse + inverse.T))
 
     def marginals(self, columns: IntArray) -> FloatArray:
-        """Covariances (f, q, q) of unknowns (f, q) with a factor in common, by an order; 0 where they are fixed."""
+        """Covariances (f, q, q) of unknowns (f, q) with a factor in common, by an order; 0 where
+        they are fixed.
+        """
         matrix = self._matrix()
-        scale, draws = np.sqrt(matrix.diagonal()), np.random.default_rng(0).uniform(0.5, 1.0, matrix.nnz)
+        scale, draws = (
+            np.sqrt(matrix.diagonal()),
+            np.random.default_rng(0).uniform(0.5, 1.0, matrix.nnz),
+        )
         column = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
         matrix.data += _NEVER_ZERO * draws * scale[matrix.indices] * scale[column]
         factors = _factors(matrix, "NATURAL")
         lower, pivots = csc_matrix(factors.L), factors.U.diagonal()
         lower.sort_indices()
         values = np.empty(lower.nnz)
-        _selected_inverse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64), lower.data, pivots, values)
+        _selected_inverse(
+            lower.indptr.astype(np.int64),
+            lower.indices.astype(np.int64),
+            lower.data,
+            pivots,
+            values,
+        )
         inverse = csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
         places = self._places[columns]
         is_free = (places < len(pivots)).all(axis=1)
@@ -146,7 +175,8 @@ class NormalEquations:
         """The matrix of the unknowns that are not fixed."""
         places, count = (np.concatenate(self._rows), np.concatenate(self._columns)), len(self._free)
         whole = coo_matrix((np.concatenate(self._values), places), shape=(self.size, self.size))
-        # Sorting by rows and then by columns is faster than the sum of scipy, which sorts each column by comparisons.
+        # Sorting by rows and then by columns is faster than the sum of scipy, which sorts each
+        # column by comparisons.
         whole.has_canonical_format = True
         matrix = whole.tocsr().tocsc()
         matrix.has_sorted_indices, matrix.has_canonical_format = True, False
@@ -156,7 +186,9 @@ class NormalEquations:
 
 def _factors(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> SuperLU:
     try:
-        return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        return splu(
+            matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        )
     except RuntimeError as error:
         raise DegenerateError("the factors do not determine the unknowns") from error
 
@@ -167,14 +199,15 @@ def _selected_inverse(
 ) -> None:
     """Entries of (L D L^T)^-1 where L has entries, from the last column to the first.
 
-    K. Takahashi, J. Fagan and M. Chin, "Formation of a sparse bus impedance matrix and its application to short circuit
-    study", 1973: z_ij = -sum over k of z_ik l_kj for i > j, and z_jj = 1 / d_j - sum over k of z_kj l_kj.
+    K. Takahashi, J. Fagan and M. Chin, "Formation of a sparse bus impedance matrix and its
+    application to short circuit study", 1973: z_ij = -sum over k of z_ik l_kj for i > j, and z_jj =
+    1 / d_j - sum over k of z_kj l_kj.
 
     Parameters
     ----------
     firsts, rows, lower
-        The columns of L by their first entries (n + 1,), and the row and value of each entry (e,). The diagonal, which
-        is 1, is the first entry of each column.
+        The columns of L by their first entries (n + 1,), and the row and value of each entry (e,).
+        The diagonal, which is 1, is the first entry of each column.
     pivots
         The diagonal (n,) of D.
     inverse

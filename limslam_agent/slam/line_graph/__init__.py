@@ -1,1 +1,3 @@
-"""Smoothing of a finished run: all poses are solved for together, and wrong associations can be corrected."""
+"""Smoothing of a finished run: all poses are solved for together, and wrong associations can be
+corrected.
+"""

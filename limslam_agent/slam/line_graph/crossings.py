@@ -1,8 +1,9 @@
-"""Where beams meet lines: the line that predicts each reading best, and the beams that passed through lines.
+"""Where beams meet lines: the line that predicts each reading best, and the beams that passed
+through lines.
 
-Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A place along a
-line is its distance from the anchor, m. All is plain numpy: a run asks for it a few times, and compiling would take
-longer than that.
+Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A
+place along a line is its distance from the anchor, m. All is plain numpy: a run asks for it a few
+times, and compiling would take longer than that.
 """
 
 import math
@@ -21,10 +22,16 @@ _AT_ONCE = 4096  # beams that are compared with all lines at once, so that littl
 
 
 def best_lines(
-    state: State, places: IntArray, beams: FloatArray, distances: FloatArray, ends: FloatArray, beyond: float,
+    state: State,
+    places: IntArray,
+    beams: FloatArray,
+    distances: FloatArray,
+    ends: FloatArray,
+    beyond: float,
     width: float,
-) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """For each reading, the line that predicts it best, among the lines that the beam meets near enough.
+) -> tuple[IntArray, FloatArray]:
+    """For each reading, the line that predicts it best, among the lines that the beam meets near
+    enough.
 
     Parameters
     ----------
@@ -33,13 +40,14 @@ def best_lines(
     places, beams, distances
         Numbers of the poses (k,), beams on the body (k, 3), and readings (k,), m.
     ends, beyond, width
-        Ends (m, 2, 2) of the part of each line that was read from each side, m, the distance beyond the ends at which a
-        beam may meet it, and half the opening angle of the beams, rad.
+        Ends (m, 2, 2) of the part of each line that was read from each side, m, the distance beyond
+        the ends at which a beam may meet it, and half the opening angle of the beams, rad.
 
     Returns
     -------
     best, misfits
-        The line (k,), and the misfits of the reading to the best and the second line (k, 2), m, infinite without one.
+        The line (k,), and the misfits of the reading to the best and the second line (k, 2), m,
+        infinite without one.
     """
     best, misfits = np.zeros(len(places), dtype=np.int64), np.full((len(places), 2), np.inf)
     if not len(state.lines):
@@ -47,7 +55,8 @@ def best_lines(
     low, high = ends[..., 0] - beyond, ends[..., 1] + beyond
     for part, cosines, reached, along in _meetings(state, places, beams):
         steep, sines = np.abs(cosines), np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
-        # The nearest point of the wall inside of the beam, as kernels.measurement.read_share has it.
+        # The nearest point of the wall inside of the beam, as kernels.measurement.read_share has
+        # it.
         turned = steep * math.cos(width) + sines * math.sin(width)
         shares = np.where(sines <= math.sin(width), steep, steep / turned)
         faces_beam = cosines < 0.0
@@ -62,13 +71,20 @@ def best_lines(
 
 
 def count_crossings(
-    state: State, places: IntArray, beams: FloatArray, distances: FloatArray, low: IntArray, hits: IntArray,
+    state: State,
+    places: IntArray,
+    beams: FloatArray,
+    distances: FloatArray,
+    low: IntArray,
+    hits: IntArray,
     margin: float,
-) -> tuple[IntArray, int]:  # fmt: skip
-    """Count the beams that passed through each bin (m, b) of the lines, and those that passed through a wall.
+) -> tuple[IntArray, int]:
+    """Count the beams that passed through each bin (m, b) of the lines, and those that passed
+    through a wall.
 
-    A beam passed through a line if it reached more than ``margin`` beyond it, m along the line's normal. It passed
-    through a wall if beams ended in that bin of the line, and in one of the two adjacent bins on each side of it.
+    A beam passed through a line if it reached more than ``margin`` beyond it, m along the line's
+    normal. It passed through a wall if beams ended in that bin of the line, and in one of the two
+    adjacent bins on each side of it.
 
     Parameters
     ----------
@@ -77,7 +93,8 @@ def count_crossings(
     distances
         Length of the free path of each beam (k,), m.
     low, hits
-        First bin (m,) of each line, and the number of beams that ended in each bin (m, b), 0 beyond a line's last bin.
+        First bin (m,) of each line, and the number of beams that ended in each bin (m, b), 0 beyond
+        a line's last bin.
     """
     misses, is_wall, count = np.zeros_like(hits), np.zeros(hits.shape, dtype=bool), 0
     before, after = hits[:, :-4] + hits[:, 1:-3], hits[:, 3:-1] + hits[:, 4:]
@@ -95,11 +112,15 @@ def count_crossings(
 def _meetings(
     state: State, places: IntArray, beams: FloatArray
 ) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
-    """Some beams at a time: which, and for each of them (k,) and each line (m,), the cosine of the angle between beam
-    and normal, the distance at which they meet, infinite if they do not, and where along the line, both in m (k, m).
+    """Some beams at a time: which, and for each of them (k,) and each line (m,), the cosine of the
+    angle between beam and normal, the distance at which they meet, infinite if they do not, and
+    where along the line, both in m (k, m).
     """
     across, tangents = normal(state.lines), direction(state.lines)
-    height, middle = state.lines[:, 0] + (across * state.anchors).sum(axis=1), (tangents * state.anchors).sum(axis=1)
+    height, middle = (
+        state.lines[:, 0] + (across * state.anchors).sum(axis=1),
+        (tangents * state.anchors).sum(axis=1),
+    )
     for first in range(0, len(places), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         origins, ahead = rays(state.flat_poses[places[part]], beams[part])

@@ -1,9 +1,9 @@
 """The factors of the line smoother: expected measurements and their derivatives.
 
-A **motion** is (left, right, aside): the travel of both wheels and a shift to the left, m. The wheels drive an exact
-arc, as in :func:`limslam_env.geometry.se2.arc`; the shift is perpendicular to the chord of that arc. With the shift, a
-pair of poses and a motion determine each other. A **line** is (d, alpha) about an anchor a: the points x with
-(cos alpha, sin alpha) . (x - a) = d.
+A **motion** is (left, right, aside): the travel of both wheels and a shift to the left, m. The
+wheels drive an exact arc, as in :func:`limslam_env.geometry.se2.arc`; the shift is perpendicular to
+the chord of that arc. With the shift, a pair of poses and a motion determine each other. A **line**
+is (d, alpha) about an anchor a: the points x with (cos alpha, sin alpha) . (x - a) = d.
 """
 
 import math
@@ -38,7 +38,9 @@ def motions_between(poses: FloatArray, axle: float) -> FloatArray:
 
 
 def motion_jacobians(poses: FloatArray, axle: float) -> FloatArray:
-    """Derivatives (t - 1, 3, 6) of :func:`motions_between` by the pose before a motion and by the pose after it."""
+    """Derivatives (t - 1, 3, 6) of :func:`motions_between` by the pose before a motion and by the
+    pose after it.
+    """
     half, ahead, aside, middle = _chords(poses)
     cos, sin, longer = np.cos(middle), np.sin(middle), _arc_over_chord(half)
     turned, stretched = 0.5 * longer * aside, 0.5 * ahead * _arc_over_chord_derivative(half)
@@ -54,7 +56,9 @@ def motion_jacobians(poses: FloatArray, axle: float) -> FloatArray:
 
 
 def _chords(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Half the turns between successive poses, rad, the displacements ahead and to the left, m, and mean headings."""
+    """Half the turns between successive poses, rad, the displacements ahead and to the left, m, and
+    mean headings.
+    """
     half = 0.5 * np.diff(poses[:, 2])
     middle = poses[:-1, 2] + half
     cos, sin = np.cos(middle), np.sin(middle)
@@ -69,7 +73,9 @@ def _arc_over_chord(half: FloatArray) -> FloatArray:
 
 def _arc_over_chord_derivative(half: FloatArray) -> FloatArray:
     is_small, sin = np.abs(half) < _SMALL_TURN, np.sin(half)
-    return np.where(is_small, half / 3.0, (sin - half * np.cos(half)) / np.where(is_small, 1.0, sin * sin))
+    return np.where(
+        is_small, half / 3.0, (sin - half * np.cos(half)) / np.where(is_small, 1.0, sin * sin)
+    )
 
 
 class Expected(NamedTuple):
@@ -94,7 +100,8 @@ class Expected(NamedTuple):
 def expected_readings(
     poses: FloatArray, beams: FloatArray, lines: FloatArray, anchors: FloatArray, width: float
 ) -> Expected:
-    """What beams (x, y, angle) on the body (k, 3) should read of lines (k, 2) with anchors (k, 2) at poses (k, 3).
+    """What beams (x, y, angle) on the body (k, 3) should read of lines (k, 2) with anchors (k, 2)
+    at poses (k, 3).
 
     ``width`` is half the opening angle of the beams, rad.
     """
@@ -102,7 +109,8 @@ def expected_readings(
     arm_x, arm_y = cos * beams[:, 0] - sin * beams[:, 1], sin * beams[:, 0] + cos * beams[:, 1]
     ux, uy, nx, ny = np.cos(heading), np.sin(heading), np.cos(lines[:, 1]), np.sin(lines[:, 1])
     cosine = nx * ux + ny * uy
-    # A beam exactly parallel to the line does not meet it. A very large finite distance is used instead.
+    # A beam exactly parallel to the line does not meet it. A very large finite distance is used
+    # instead.
     divisor = np.where(np.abs(cosine) > LEAST_DIVISOR, cosine, LEAST_DIVISOR)
     x, y = poses[:, 0] + arm_x - anchors[:, 0], poses[:, 1] + arm_y - anchors[:, 1]
     ranges = (lines[:, 0] - nx * x - ny * y) / divisor
@@ -117,11 +125,13 @@ def expected_readings(
 def widened(ideal: Expected, angles: FloatArray, width: float) -> Expected:
     """What beams with half an opening angle should read, from what ideal beams should read.
 
-    The beam of an infrared or ultrasonic sensor is a cone. A sensor that reports the nearest point inside the cone
-    reads a wall under its border ray, or at the foot of the perpendicular if the cone contains it, as in
-    :mod:`limslam_agent.kernels.measurement`. With half the opening angle c, and the angle phi between the middle
-    ray and the wall's normal, a wall at distance r along the middle ray reads r cos(phi) / cos(max(|phi| - c, 0)). The
-    error grows with the range and with the slant, up to centimetres, and it never averages out.
+    The beam of an infrared or ultrasonic sensor is a cone. A sensor that reports the nearest point
+    inside the cone reads a wall under its border ray, or at the foot of the perpendicular if the
+    cone contains it, as in
+    :mod:`limslam_agent.kernels.measurement`. With half the opening angle c, and the angle phi
+    between the middle ray and the wall's normal, a wall at distance r along the middle ray reads r
+    cos(phi) / cos(max(|phi| - c, 0)). The error grows with the range and with the slant, up to
+    centimetres, and it never averages out.
 
     Parameters
     ----------
@@ -134,7 +144,9 @@ def widened(ideal: Expected, angles: FloatArray, width: float) -> Expected:
     """
     slants = angle_between(angles)
     border = np.maximum(np.abs(slants) - width, 0.0)
-    by_slant = np.where(border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants))
+    by_slant = np.where(
+        border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants)
+    )
     by_angle, share = ideal.ranges * by_slant, np.cos(slants) / np.cos(border)
     by_pose, by_line = ideal.by_pose * share[:, None], ideal.by_line * share[:, None]
     by_pose[:, 2] -= by_angle
@@ -143,7 +155,11 @@ def widened(ideal: Expected, angles: FloatArray, width: float) -> Expected:
 
 
 def rays(poses: FloatArray, beams: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Origins (k, 2), m, and unit vectors (k, 2) of beams (x, y, angle) on the body (k, 3) at poses (k, 3)."""
+    """Origins (k, 2), m, and unit vectors (k, 2) of beams (x, y, angle) on the body (k, 3) at poses
+    (k, 3).
+    """
     cos, sin, heading = np.cos(poses[:, 2]), np.sin(poses[:, 2]), poses[:, 2] + beams[:, 2]
     x, y = cos * beams[:, 0] - sin * beams[:, 1], sin * beams[:, 0] + cos * beams[:, 1]
-    return poses[:, :2] + np.column_stack((x, y)), np.column_stack((np.cos(heading), np.sin(heading)))
+    return poses[:, :2] + np.column_stack((x, y)), np.column_stack(
+        (np.cos(heading), np.sin(heading))
+    )

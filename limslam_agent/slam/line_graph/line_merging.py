@@ -1,12 +1,13 @@
 """Merging of lines that may be one wall, and which walls are thin boards.
 
-A beam hits a wall from one side. A thin board is one line from both sides. A wall of a building is two lines, which are
-as far apart as the wall is thick. What was measured decides between the two hypotheses, together with the kind of the
-walls for which this is known already: most buildings have walls of one kind. The rows "drive 4 cm" and "thick walls" of
-the scoreboard feel the numbers of this test.
+A beam hits a wall from one side. A thin board is one line from both sides. A wall of a building is
+two lines, which are as far apart as the wall is thick. What was measured decides between the two
+hypotheses, together with the kind of the walls for which this is known already: most buildings have
+walls of one kind. The rows "drive 4 cm" and "thick walls" of the scoreboard feel the numbers of
+this test.
 
-Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A place along a line is
-its distance from the anchor, m.
+Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A
+place along a line is its distance from the anchor, m.
 """
 
 import math
@@ -32,19 +33,28 @@ A small length says that most buildings have one kind.
 """
 
 LEAST_SHARE = 1.0 / 3.0
-"""Least prior odds of a board: however many walls a building has, it also has doors and partitions."""
+"""Least prior odds of a board: however many walls a building has, it also has doors and
+partitions.
+"""
 
 SURE = math.log(100.0)
-"""Least logarithm of the odds of a board. A false board bends the map, and a missed one is found later."""
+"""Least logarithm of the odds of a board. A false board bends the map, and a missed one is found
+later.
+"""
 
 SURE_OF_WALL = math.log(10.0)
 """Least logarithm of the Bayes factor of a wall against a board."""
 
 ELSEWHERE = 0.1
-"""Density of lines that are something else than this wall, 1/m: a line in front of a face is no proof of a board."""
+"""Density of lines that are something else than this wall, 1/m: a line in front of a face is no
+proof of a board.
+"""
 
 _MAX_OFFSET, _MAX_ANGLE = 0.15, 0.12  # m and rad: two lines that differ by more are not merged
-_MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
+_MOST_MOVED = (
+    0.10,
+    0.05,
+)  # m and rad: the largest change of a line by merging before the problem is linearised again
 
 
 class Pairs(NamedTuple):
@@ -53,10 +63,11 @@ class Pairs(NamedTuple):
     # first, second: indices of the lines
     first: IntArray
     second: IntArray
-    # Ends (k, 2, 2) of the parts of the first line that were read from each side, as sides of the second line and
-    # places along it, m
+    # Ends (k, 2, 2) of the parts of the first line that were read from each side, as sides of the
+    # second line and places along it, m
     seen: FloatArray
-    # own, opposite: the longest stretches that both lines share: read from the same side, and from opposite sides, m
+    # own, opposite: the longest stretches that both lines share: read from the same side, and from
+    # opposite sides, m
     own: FloatArray
     opposite: FloatArray
     side: IntArray  # the side of the second line that the opposite stretch was read from
@@ -101,7 +112,8 @@ class Lines:
     # lines, anchors: lines (m, 2) and their anchors (m, 2)
     lines: FloatArray
     anchors: FloatArray
-    # Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no such part
+    # Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no
+    # such part
     seen: FloatArray
     covariance: FloatArray  # joint covariance (2 m, 2 m) of the lines
     # For each line (m,), the line that it was merged into, or the line itself
@@ -111,22 +123,37 @@ class Lines:
         self.merged_into = np.arange(len(self.lines))
 
     def near_pairs(self, max_offset: float = _MAX_OFFSET) -> Pairs:
-        """The pairs of lines that are nearly parallel, at most so far apart, m, and cover the same stretch."""
+        """The pairs of lines that are nearly parallel, at most so far apart, m, and cover the same
+        stretch.
+        """
         ends = _ends(self.seen)
-        left = np.flatnonzero((self.merged_into == np.arange(len(ends))) & (ends[:, 0] < ends[:, 1]))
+        left = np.flatnonzero(
+            (self.merged_into == np.arange(len(ends))) & (ends[:, 0] < ends[:, 1])
+        )
         first, second = (left[each] for each in np.triu_indices(len(left), 1))
-        is_parallel = np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= _MAX_ANGLE
+        is_parallel = (
+            np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= _MAX_ANGLE
+        )
         first, second = first[is_parallel], second[is_parallel]
         seen, there = self._seen_along(first, second), self.seen[second]
         middle = self._points(second, ends[second].mean(axis=1))
-        offset = np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1) - self.lines[first, 0]
-        is_near = (np.abs(offset) <= max_offset) & (_shared(_ends(seen), ends[second]) >= MIN_OVERLAP)
+        offset = (
+            np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1)
+            - self.lines[first, 0]
+        )
+        is_near = (np.abs(offset) <= max_offset) & (
+            _shared(_ends(seen), ends[second]) >= MIN_OVERLAP
+        )
         first, second, seen, there = first[is_near], second[is_near], seen[is_near], there[is_near]
         opposite = _shared(seen[:, ::-1], there)
         return Pairs(
-            first, second, seen, _shared(seen, there).max(axis=1), opposite.max(axis=1),
+            first,
+            second,
+            seen,
+            _shared(seen, there).max(axis=1),
+            opposite.max(axis=1),
             np.where(opposite[:, POSITIVE] >= opposite[:, NEGATIVE], POSITIVE, NEGATIVE),
-        )  # fmt: skip
+        )
 
     def differences(self, pairs: Pairs) -> Difference:
         """The differences of the lines of each pair."""
@@ -138,14 +165,18 @@ class Lines:
         jacobian[:, 0, 0], jacobian[:, 0, 2] = sign, -1.0
         jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
         jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, -1.0
-        columns = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
+        columns = 2 * np.column_stack(
+            (pairs.first, pairs.first, pairs.second, pairs.second)
+        ) + np.array([0, 1, 0, 1])
         joint = self.covariance[columns[:, :, None], columns[:, None, :]]
         covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + np.diag(STRAIGHTNESS)
         values = np.column_stack((offset, angle_between(one[:, 1] - other[:, 1])))
         return Difference(values, columns, jacobian, np.linalg.inv(covariance))
 
     def merge(self, pairs: Pairs, difference: Difference, which: int) -> None:
-        """Make the lines of a pair equal, by a Kalman update of all lines with their difference, which is zero."""
+        """Make the lines of a pair equal, by a Kalman update of all lines with their difference,
+        which is zero.
+        """
         crossed = self.covariance[:, difference.columns[which]] @ difference.jacobian[which].T
         gain = crossed @ difference.information[which]
         moves = gain @ difference.values[which]
@@ -159,10 +190,14 @@ class Lines:
     def _points(self, chosen: IntArray, places: FloatArray) -> FloatArray:
         """Points (k, 2) at places (k,) along chosen lines (k,)."""
         lines = self.lines[chosen]
-        return np.asarray(self.anchors[chosen] + lines[:, :1] * normal(lines) + places[:, None] * direction(lines))
+        return np.asarray(
+            self.anchors[chosen] + lines[:, :1] * normal(lines) + places[:, None] * direction(lines)
+        )
 
     def _seen_along(self, first: IntArray, second: IntArray) -> FloatArray:
-        """Ends (k, 2, 2) of the parts of first lines read from each side, as sides and places of second lines, m."""
+        """Ends (k, 2, 2) of the parts of first lines read from each side, as sides and places of
+        second lines, m.
+        """
         feet = self._points(first, np.zeros(len(first))) - self.anchors[second]
         middle = np.sum(feet * direction(self.lines[second]), axis=1)[:, None, None]
         is_turned = np.cos(self.lines[first, 1] - self.lines[second, 1]) < 0.0
@@ -173,9 +208,9 @@ class Lines:
 def merge_lines(known: Lines, kinds: tuple[float, float]) -> bool:
     """Merge lines that may be one wall, in the order of likelihood; return whether there were any.
 
-    The pair with the greatest likelihood is merged first: a pair with a large covariance passes the chi-square test
-    easily. Two lines that were read from opposite sides only are merged if they are a board. Merging ends when a line
-    has moved far: the problem must then be linearised again.
+    The pair with the greatest likelihood is merged first: a pair with a large covariance passes the
+    chi-square test easily. Two lines that were read from opposite sides only are merged if they are
+    a board. Merging ends when a line has moved far: the problem must then be linearised again.
 
     Parameters
     ----------
@@ -215,7 +250,9 @@ def wall_kinds(known: Lines) -> tuple[float, float]:
     return float(boards), 0.5 * float(behind.sum())
 
 
-def _is_one_line(pairs: Pairs, difference: Difference, which: int, kinds: tuple[float, float]) -> bool:
+def _is_one_line(
+    pairs: Pairs, difference: Difference, which: int, kinds: tuple[float, float]
+) -> bool:
     """Whether the lines of a pair share a stretch that was read from one side, or are a board."""
     if pairs.own[which] >= min(MIN_OVERLAP, pairs.opposite[which]):
         return True
@@ -223,7 +260,8 @@ def _is_one_line(pairs: Pairs, difference: Difference, which: int, kinds: tuple[
 
 
 def _compared(pairs: Pairs, difference: Difference, which: int) -> tuple[float, float]:
-    """Evidence of a board in two lines that were read from opposite sides, and how far behind the first one lies, m.
+    """Evidence of a board in two lines that were read from opposite sides, and how far behind the
+    first one lies, m.
 
     The two lines are taken to be parallel.
     """
@@ -239,23 +277,31 @@ def board_evidence(behind: float, variance: float) -> float:
     Parameters
     ----------
     behind, variance
-        How far the line that is seen from one side lies behind the line that is seen from the other side, m, and the
-        variance of that, m^2.
+        How far the line that is seen from one side lies behind the line that is seen from the other
+        side, m, and the variance of that, m^2.
     """
     std = math.sqrt(variance)
     nearer = math.erf((THINNEST - behind) / (math.sqrt(2.0) * std))
     farther = math.erf((THICKEST - behind) / (math.sqrt(2.0) * std))
     wall = 0.5 * (farther - nearer) / (THICKEST - THINNEST) + ELSEWHERE
-    return -0.5 * behind * behind / variance - math.log(math.sqrt(2.0 * math.pi) * std) - math.log(wall)
+    return (
+        -0.5 * behind * behind / variance
+        - math.log(math.sqrt(2.0 * math.pi) * std)
+        - math.log(wall)
+    )
 
 
 def board_odds(evidence: float, boards: float, walls: float) -> float:
-    """Logarithm of the posterior odds of a board, given its evidence and the lengths of known boards and walls, m."""
+    """Logarithm of the posterior odds of a board, given its evidence and the lengths of known
+    boards and walls, m.
+    """
     return evidence + math.log(max((boards + PRIOR_LENGTH) / (walls + PRIOR_LENGTH), LEAST_SHARE))
 
 
 def is_wall(evidence: float, behind: float) -> bool:
-    """Whether two lines that are seen from opposite sides are the two faces of one wall, by their evidence alone."""
+    """Whether two lines that are seen from opposite sides are the two faces of one wall, by their
+    evidence alone.
+    """
     return evidence < -SURE_OF_WALL and 0.0 < behind < THICKEST
 
 
@@ -265,5 +311,9 @@ def _ends(seen: FloatArray) -> FloatArray:
 
 
 def _shared(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Lengths (...) of the stretches that parts (..., 2) of a line share, m; below 0 if they share none."""
-    return np.asarray(np.minimum(one[..., 1], other[..., 1]) - np.maximum(one[..., 0], other[..., 0]))
+    """Lengths (...) of the stretches that parts (..., 2) of a line share, m; below 0 if they share
+    none.
+    """
+    return np.asarray(
+        np.minimum(one[..., 1], other[..., 1]) - np.maximum(one[..., 0], other[..., 0])
+    )

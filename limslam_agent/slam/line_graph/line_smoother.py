@@ -1,8 +1,8 @@
 """The line smoother: least squares over all poses of a run and all lines.
 
-Every step has its own pose, and every reading that is associated with a line is one factor (F. Dellaert and M. Kaess,
-"Factor Graphs for Robot Perception", 2017). The poses of a robot form a chain, and there are few lines. Several robots
-are several chains that share the lines.
+Every step has its own pose, and every reading that is associated with a line is one factor (F.
+Dellaert and M. Kaess, "Factor Graphs for Robot Perception", 2017). The poses of a robot form a
+chain, and there are few lines. Several robots are several chains that share the lines.
 """
 
 from dataclasses import dataclass, replace
@@ -13,24 +13,33 @@ from scipy.sparse.linalg import SuperLU
 
 from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.limits import LINE_PRIOR
-from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations, pose_columns
+from limslam_agent.slam.least_squares.normal_equations import (
+    DegenerateError,
+    NormalEquations,
+    pose_columns,
+)
 from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations
-_MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed
+_MOST_HALVINGS, _CHOOSING = (
+    6,
+    2,
+)  # of a step; iterations after which the set of grazing readings is fixed
 _CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
 _BLOCK = 150  # poses of a block, about
 
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
-    """The columns of the unknowns: three for each pose, four for each calibration if there is one, two for each line.
+    """The columns of the unknowns: three for each pose, four for each calibration if there is one,
+    two for each line.
 
-    The poses are eliminated along each chain, and the lines last. A chain is cut into blocks, whose last poses are
-    eliminated after the others: otherwise, each pose would be coupled to all lines that were read before it (A. George,
-    "Nested dissection of a regular finite element mesh", 1973).
+    The poses are eliminated along each chain, and the lines last. A chain is cut into blocks, whose
+    last poses are eliminated after the others: otherwise, each pose would be coupled to all lines
+    that were read before it (A. George, "Nested dissection of a regular finite element mesh",
+    1973).
 
     Attributes
     ----------
@@ -67,12 +76,18 @@ class Unknowns:
 
     @cached_property
     def kept(self) -> IntArray:
-        """The columns that are eliminated last, in this order: last poses of blocks, calibrations and lines."""
-        return np.append(pose_columns(self.ends).ravel(), np.arange(self.first_calibration, self.size))
+        """The columns that are eliminated last, in this order: last poses of blocks, calibrations
+        and lines.
+        """
+        return np.append(
+            pose_columns(self.ends).ravel(), np.arange(self.first_calibration, self.size)
+        )
 
     @property
     def order(self) -> IntArray:
-        """The columns of all unknowns in the order of their elimination. The known first poses are not among them."""
+        """The columns of all unknowns in the order of their elimination. The known first poses are
+        not among them.
+        """
         inner = np.ones((self.robots, self.steps), dtype=bool)
         inner[:, 0] = False
         inner.ravel()[self.ends] = False
@@ -88,7 +103,8 @@ class Solution:
     state
         Poses, lines and calibration at the optimum.
     weights
-        Weights (k,) of the readings: their inverse variances, 1/m^2; 0 for readings without a line and grazing ones.
+        Weights (k,) of the readings: their inverse variances, 1/m^2; 0 for readings without a line
+        and grazing ones.
     unknowns, equations, factors
         The equations, linearised at the state before the last step, and their factors.
     """
@@ -155,7 +171,9 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
 
 
 def chi_square(problem: Problem, state: State, readings: Expected, weights: FloatArray) -> float:
-    """Sum of the squared residuals of wheels, readings and calibration, each divided by its variance."""
+    """Sum of the squared residuals of wheels, readings and calibration, each divided by its
+    variance.
+    """
     driven = problem.whitened(state.motions - problem.motions(state.calibration))
     read = range_residuals(problem, state, readings)
     total = float(np.sum(driven**2) + np.sum(weights * read**2))
@@ -173,17 +191,23 @@ def range_residuals(problem: Problem, state: State, readings: Expected) -> Float
 
 def not_grazing(readings: Expected, labels: IntArray) -> BoolArray:
     """Which readings (k,) are of a line in front of the beam that the beam does not graze."""
-    return np.asarray((labels >= 0) & (np.abs(readings.cosines) >= GRAZING) & (readings.ranges > 0.0))
+    return np.asarray(
+        (labels >= 0) & (np.abs(readings.cosines) >= GRAZING) & (readings.ranges > 0.0)
+    )
 
 
 def where_read(problem: Problem, state: State, labels: IntArray) -> State:
-    """The state with each pose moved within its jitter to where its readings, of lines (k,), are likeliest from."""
+    """The state with each pose moved within its jitter to where its readings, of lines (k,), are
+    likeliest from.
+    """
     readings, jitters = expected(problem, state, labels), problem.jitters(state).reshape(-1, 3, 3)
     weights = not_grazing(readings, labels) / problem.stds**2
     weighted, places = readings.by_pose * weights[:, None], problem.readings.places
     information, score = np.zeros_like(jitters), np.zeros((len(jitters), 3, 1))
     np.add.at(information, places, weighted[:, :, None] * readings.by_pose[:, None])
-    np.add.at(score, places, (weighted * range_residuals(problem, state, readings)[:, None])[..., None])
+    np.add.at(
+        score, places, (weighted * range_residuals(problem, state, readings)[:, None])[..., None]
+    )
     moved_by = np.linalg.solve(np.eye(3) + jitters @ information, jitters @ score)
     return replace(state, poses=state.poses + moved_by.reshape(state.poses.shape))
 
@@ -202,25 +226,43 @@ class _Graph:
         self._add_readings(state, readings, weights)
         # Each line has a wide prior, which keeps its equations regular if it was read only once.
         lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
-        equations.add(lines, np.tile(np.diag(1.0 / np.sqrt(LINE_PRIOR)), (len(lines), 1, 1)), np.zeros(lines.shape))
-        # The unknowns that are eliminated last get an entry for each pair, since their joint covariance is asked for.
+        equations.add(
+            lines,
+            np.tile(np.diag(1.0 / np.sqrt(LINE_PRIOR)), (len(lines), 1, 1)),
+            np.zeros(lines.shape),
+        )
+        # The unknowns that are eliminated last get an entry for each pair, since their joint
+        # covariance is asked for.
         count = len(unknowns.kept)
         equations.add_blocks(unknowns.kept[None], np.zeros((1, count, count)), np.zeros((1, count)))
 
-    def descend(self, state: State, step: FloatArray, readings: Expected, weights: FloatArray) -> tuple[State, float]:
-        """The state after a step, which is halved until the residuals do not grow, and the largest change of a pose.
+    def descend(
+        self, state: State, step: FloatArray, readings: Expected, weights: FloatArray
+    ) -> tuple[State, float]:
+        """The state after a step, which is halved until the residuals do not grow, and the largest
+        change of a pose.
 
-        The motions are changed, and the poses follow from them: so the wheels still drive arcs after a large step.
+        The motions are changed, and the poses follow from them: so the wheels still drive arcs
+        after a large step.
         """
         problem, unknowns = self._problem, self._unknowns
         moves = step[: unknowns.first_calibration].reshape(state.poses.shape)
         lines = step[unknowns.first_line :].reshape(-1, 2)
-        calibration, pairs = np.zeros_like(state.calibration), np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1)
+        calibration, pairs = (
+            np.zeros_like(state.calibration),
+            np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1),
+        )
         motions = np.einsum("ntij,ntj->nti", self._by_poses(state), pairs)
         if unknowns.calibrated:
-            calibration = step[unknowns.first_calibration : unknowns.first_line].reshape(calibration.shape)
+            calibration = step[unknowns.first_calibration : unknowns.first_line].reshape(
+                calibration.shape
+            )
             motions += self._by_axle(state) * calibration[:, 2, None, None]
-        largest, before, share = float(np.abs(moves).max()), chi_square(problem, state, readings, weights), 1.0
+        largest, before, share = (
+            float(np.abs(moves).max()),
+            chi_square(problem, state, readings, weights),
+            1.0,
+        )
         for _ in range(_MOST_HALVINGS):
             new = moved(
                 problem,
@@ -243,18 +285,25 @@ class _Graph:
         columns: IntArray = np.concatenate((poses[:, :-1], poses[:, 1:]), axis=-1)
         if problem.prior is not None:
             by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
-            by_calibration[:, :, 0, 0], by_calibration[:, :, 1, 1] = -problem.wheels[..., 0], -problem.wheels[..., 1]
+            by_calibration[:, :, 0, 0], by_calibration[:, :, 1, 1] = (
+                -problem.wheels[..., 0],
+                -problem.wheels[..., 1],
+            )
             by_calibration[..., 2] = self._by_axle(state)
             jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
             shared = np.arange(unknowns.first_calibration, unknowns.first_line)
             own: IntArray = shared.reshape(unknowns.robots, unknowns.calibrated)
-            columns = np.concatenate((columns, np.repeat(own[:, None], problem.steps - 1, axis=1)), axis=-1)
+            columns = np.concatenate(
+                (columns, np.repeat(own[:, None], problem.steps - 1, axis=1)), axis=-1
+            )
             off, count = state.calibration - problem.assumed_calibration, len(own)
             identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
             self.equations.add(own, identity, off, np.tile(problem.prior, (count, 1, 1)))
         white, width = problem.whitened(jacobian), jacobian.shape[-1]
         self.equations.add(
-            columns.reshape(-1, width), white.reshape(-1, 3, width), problem.whitened(errors).reshape(-1, 3)
+            columns.reshape(-1, width),
+            white.reshape(-1, 3, width),
+            problem.whitened(errors).reshape(-1, 3),
         )
 
     def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
@@ -262,18 +311,27 @@ class _Graph:
         problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
         places, roots = problem.readings.places[used], np.sqrt(weights[used])
         lines = unknowns.first_line + 2 * self._labels[used, None] + np.arange(2)
-        columns, jacobian = [pose_columns(places), lines], [readings.by_pose[used], readings.by_line[used]]
+        columns, jacobian = (
+            [pose_columns(places), lines],
+            [readings.by_pose[used], readings.by_line[used]],
+        )
         if unknowns.calibrated:
             robots = places[:, None] // problem.steps
             columns.append(unknowns.first_calibration + unknowns.calibrated * robots + 3)
             jacobian.append(np.ones((len(used), 1)))
         errors = -range_residuals(problem, state, readings)[used] * roots
-        self.equations.add(np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None])
+        self.equations.add(
+            np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None]
+        )
 
     def _by_poses(self, state: State) -> FloatArray:
-        """Derivatives (n, t - 1, 3, 6) of the motions by the pose before and the pose after each."""
+        """Derivatives (n, t - 1, 3, 6) of the motions by the pose before and the pose after
+        each.
+        """
         pairs = zip(state.poses, state.calibration, strict=True)
-        return np.array([motion_jacobians(poses, self._problem.axle(sizes)) for poses, sizes in pairs])
+        return np.array(
+            [motion_jacobians(poses, self._problem.axle(sizes)) for poses, sizes in pairs]
+        )
 
     def _by_axle(self, state: State) -> FloatArray:
         """Derivatives (n, t - 1, 3) of the motions by the relative excess of the axle."""

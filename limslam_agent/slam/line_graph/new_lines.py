@@ -1,8 +1,10 @@
-"""Lines of readings that no line explains: short faces, such as those of pillars, which the filter could not use.
+"""Lines of readings that no line explains: short faces, such as those of pillars, which the filter
+could not use.
 
-The readings are grouped by the places where their beams ended. In each group, the line with the most readings is taken,
-its readings are removed, and the search begins again. It is a Hough transform with the direction that a face looks to:
-the opposite faces of a pillar can be nearer to each other than the noise of a range.
+The readings are grouped by the places where their beams ended. In each group, the line with the
+most readings is taken, its readings are removed, and the search begins again. It is a Hough
+transform with the direction that a face looks to: the opposite faces of a pillar can be nearer to
+each other than the noise of a range.
 """
 
 import math
@@ -21,13 +23,20 @@ from limslam_env.geometry.line import normal
 
 _JOINED = 0.10  # m: readings that ended nearer to each other are of one group
 _DIRECTIONS = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)  # rad, into which a face may look
-_NARROWEST, _WIDEST_IN_STDS = 0.03, 2.5  # m, standard deviations: how far from its line a reading may be
+_NARROWEST, _WIDEST_IN_STDS = (
+    0.03,
+    2.5,
+)  # m, standard deviations: how far from its line a reading may be
 _MAX_ANGLE_STD = math.radians(12.0)  # of a new line
 _FITS = 3  # of a line to its readings, which are chosen anew for each
 
 
-def with_new_lines(problem: Problem, state: State, labels: IntArray, unexplained: IntArray) -> IntArray:
-    """Labels (k,) with new lines of the readings ``unexplained`` (u,), which are numbered after the state's lines."""
+def with_new_lines(
+    problem: Problem, state: State, labels: IntArray, unexplained: IntArray
+) -> IntArray:
+    """Labels (k,) with new lines of the readings ``unexplained`` (u,), which are numbered after the
+    state's lines.
+    """
     readings, beams = problem.readings, problem.beams[unexplained]
     places = readings.places[unexplained]
     origins, ahead = rays(state.flat_poses[places], beams)
@@ -46,13 +55,21 @@ def with_new_lines(problem: Problem, state: State, labels: IntArray, unexplained
 
 
 def _faces(points: FloatArray, ahead: FloatArray, std: float) -> list[IntArray]:
-    """The readings of each face in a group of readings that ended at points (n, 2), m, in directions (n, 2)."""
-    free, found, width = np.arange(len(points)), list[IntArray](), max(_NARROWEST, _WIDEST_IN_STDS * std)
+    """The readings of each face in a group of readings that ended at points (n, 2), m, in
+    directions (n, 2).
+    """
+    free, found, width = (
+        np.arange(len(points)),
+        list[IntArray](),
+        max(_NARROWEST, _WIDEST_IN_STDS * std),
+    )
     while len(free) >= FEWEST:
         own = _best_face(points[free], ahead[free], std, width)
         if len(own) < FEWEST:
             break
-        spread = np.linalg.svd(points[free[own]] - points[free[own]].mean(axis=0), compute_uv=False)[0]
+        spread = np.linalg.svd(
+            points[free[own]] - points[free[own]].mean(axis=0), compute_uv=False
+        )[0]
         if std <= _MAX_ANGLE_STD * spread:
             found.append(free[own])
         free = np.delete(free, own)
@@ -63,12 +80,16 @@ def _best_face(points: FloatArray, ahead: FloatArray, std: float, width: float) 
     """The points of the line that most of the points (n, 2) are near."""
     normals = np.stack((np.cos(_DIRECTIONS), np.sin(_DIRECTIONS)))
     heights = np.sort(np.where(ahead @ normals < -GRAZING, points @ normals, np.inf), axis=0)
-    ends = np.stack([np.searchsorted(each, each + width, side="right") for each in heights.T], axis=1)
+    ends = np.stack(
+        [np.searchsorted(each, each + width, side="right") for each in heights.T], axis=1
+    )
     votes = np.where(np.isfinite(heights), ends - np.arange(len(points))[:, None], 0)
     first, best = np.unravel_index(votes.argmax(), votes.shape)
     facing, height, half = normals[:, best], heights[first, best] + 0.5 * width, 0.5 * width
     for _ in range(_FITS):
-        own = np.flatnonzero((ahead @ facing < -GRAZING) & (np.abs(points @ facing - height) <= half))
+        own = np.flatnonzero(
+            (ahead @ facing < -GRAZING) & (np.abs(points @ facing - height) <= half)
+        )
         if len(own) < FEWEST:
             break
         line = fit_line(points[own], std).line

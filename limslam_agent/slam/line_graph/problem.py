@@ -1,7 +1,8 @@
-"""The problem of the line smoother: what was measured, the variables, and the readings that the variables predict.
+"""The problem of the line smoother: what was measured, the variables, and the readings that the
+variables predict.
 
-The variables are the pose of every step, every line, and the calibration of wheels and ranges. The wheels drive exact
-arcs, so poses follow from motions.
+The variables are the pose of every step, every line, and the calibration of wheels and ranges. The
+wheels drive exact arcs, so poses follow from motions.
 """
 
 from dataclasses import dataclass
@@ -16,23 +17,34 @@ from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.factors import Expected, drive, expected_readings, motions_between
+from limslam_agent.slam.line_graph.factors import (
+    Expected,
+    drive,
+    expected_readings,
+    motions_between,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = AgentConfig.min_range_std
 ASIDE_STD = 1e-5
-"""Motion aside, m, that keeps the equations regular, and adds up to less than a millimetre in a run."""
+"""Motion aside, m, that keeps the equations regular, and adds up to less than a millimetre in a
+run.
+"""
 
 
 def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
-    """Inverse covariance (4, 4) for standard deviations of a common error of both wheels, and of a bias (m)."""
+    """Inverse covariance (4, 4) for standard deviations of a common error of both wheels, and of a
+    bias (m).
+    """
     sizes = SelfCalibrationConfig(size_std=size_std, uneven_std=0.03, axle_std=0.03)
     return np.asarray(np.linalg.inv(block_diag(sizes.covariance, [bias_std**2])), dtype=float)
 
 
 CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
-"""Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle, bias."""
+"""Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle,
+bias.
+"""
 
 RELATIVE_PRIOR = _calibration_prior(1e-6, 1e-6)
 """The same if wheels and ranges are taken to have no common error.
@@ -48,7 +60,8 @@ class Readings:
     Attributes
     ----------
     places
-        Index (k,) of the pose of each reading. The pose of robot i at step s of t has the index i t + s.
+        Index (k,) of the pose of each reading. The pose of robot i at step s of t has the index i t
+        + s.
     beams
         Index (k,) of the beam of each reading.
     distances
@@ -69,18 +82,21 @@ class Problem:
 
     robot: RobotSpec  # body and beams of each robot. The beams are those that are assumed.
     starts: FloatArray  # known poses (n, 3) of the first step, m and rad
-    # wheels, roots: reported motions (n, t - 1, 3), m, of which the last column is the motion aside, and roots (n, t
-    # - 1, 3, 3) of their inverse covariances
+    # wheels, roots: reported motions (n, t - 1, 3), m, of which the last column is the motion
+    # aside, and roots (n, t - 1, 3, 3) of their inverse covariances
     wheels: FloatArray
     roots: FloatArray
-    # readings, looks: the readings of walls; and these with the beams that met no wall, each with the length of its
-    # free path
+    # readings, looks: the readings of walls; and these with the beams that met no wall, each with
+    # the length of its free path
     readings: Readings
     looks: Readings
-    sensor: RangeSensor  # how the ranges are measured. A calibration estimates their bias from that of the sensor on.
-    ticks: FloatArray  # the ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them
+    # how the ranges are measured. A calibration estimates their bias from that of the sensor on.
+    sensor: RangeSensor
+    # the ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them
+    ticks: FloatArray
     prior: FloatArray | None = None  # inverse covariance of a robot's calibration, or None
-    # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried
+    # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot
+    # was carried
     jumps: FloatArray | None = None
 
     @property
@@ -90,7 +106,9 @@ class Problem:
 
     @cached_property
     def beams(self) -> FloatArray:
-        """Origin and direction (k, 3) of the beam of each reading, m, m, rad, in the robot's frame."""
+        """Origin and direction (k, 3) of the beam of each reading, m, m, rad, in the robot's
+        frame.
+        """
         return self._beams_of(self.readings)
 
     @cached_property
@@ -109,7 +127,9 @@ class Problem:
         return max(self.sensor.usual_std(float(self.robot.max_ranges.max())), LEAST_RANGE_STD)
 
     def jitters(self, state: "State") -> FloatArray:
-        """Covariances (n, t, 3, 3) of the poses about what the encoders have reported: ``encoder_ticks.jitter_of``."""
+        """Covariances (n, t, 3, 3) of the poses about what the encoders have reported:
+        ``encoder_ticks.jitter_of``.
+        """
         turns = np.tile(np.eye(3), (*state.poses.shape[:2], 1, 1))
         turns[..., 0, 0] = turns[..., 1, 1] = np.cos(state.poses[..., 2])
         turns[..., 1, 0] = np.sin(state.poses[..., 2])
@@ -123,9 +143,13 @@ class Problem:
         return np.maximum(self.sensor.stds(self.readings.distances), LEAST_RANGE_STD)
 
     def variances(self, state: "State", found: Expected) -> FloatArray:
-        """Variance of each reading (k,), m^2, by the sensor and by the jitter of its pose, from what it should be."""
+        """Variance of each reading (k,), m^2, by the sensor and by the jitter of its pose, from
+        what it should be.
+        """
         jitters = self.jitters(state).reshape(-1, 3, 3)[self.readings.places]
-        return np.asarray(self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose))
+        return np.asarray(
+            self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose)
+        )
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:
@@ -144,7 +168,9 @@ class Problem:
         return found if self.jumps is None else found + self.jumps
 
     def whitened(self, errors: FloatArray) -> FloatArray:
-        """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""
+        """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in
+        standard deviations.
+        """
         return np.asarray(np.einsum("ntij,ntj...->nti...", self.roots, errors))
 
     def _beams_of(self, readings: Readings) -> FloatArray:
@@ -159,11 +185,14 @@ class State:
     Attributes
     ----------
     motions, poses
-        Motions (n, t - 1, 3), m, and the poses (n, t, 3) that follow from them, m and rad; headings are not wrapped.
+        Motions (n, t - 1, 3), m, and the poses (n, t, 3) that follow from them, m and rad; headings
+        are not wrapped.
     lines, anchors
-        Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2), m.
+        Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2),
+        m.
     calibration
-        Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all ranges, m.
+        Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all
+        ranges, m.
     """
 
     motions: FloatArray
@@ -195,15 +224,15 @@ def make_problem(
     Parameters
     ----------
     robot, noise
-        Body and beams of each of the n robots, and the specified noise. The standard deviation of ranges is taken to be
-        at least 5 mm.
+        Body and beams of each of the n robots, and the specified noise. The standard deviation of
+        ranges is taken to be at least 5 mm.
     starts
         Known poses (n, 3), m and rad.
     wheels, ranges
         Observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset.
     usable
-        Mask (t, n, n_beams) of the readings that may be used; None for all. Readings without a wall are always left
-        out. So are old readings that a slow sensor repeats.
+        Mask (t, n, n_beams) of the readings that may be used; None for all. Readings without a wall
+        are always left out. So are old readings that a slow sensor repeats.
     prior
         ``CALIBRATION_PRIOR`` if wheels, axle and bias are to be estimated, or None.
     first_step
@@ -224,14 +253,18 @@ def make_problem(
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     ticks = ticks_of(wheels) if ticks is None else ticks
-    covariances = slip_covariances(robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured)
+    covariances = slip_covariances(
+        robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
+    )
     covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
     covariances[..., 2, 2] += ASIDE_STD**2
     if not first_step:  # see ``encoder_ticks.first_jitter``
         covariances[:, 0, [0, 1], [0, 1]] += tick_variances(ticks)
     roots = np.linalg.inv(np.linalg.cholesky(covariances))
     starts = np.asarray(starts, dtype=float)
-    return Problem(sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, ticks, prior)
+    return Problem(
+        sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, ticks, prior
+    )
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
@@ -241,18 +274,27 @@ def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
 
 
 def state_from_poses(problem: Problem, poses: FloatArray) -> State:
-    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped."""
+    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be
+    wrapped.
+    """
     calibration = problem.assumed_calibration
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
-    motions = np.array([
-        motions_between(chain, problem.axle(sizes)) for chain, sizes in zip(chains, calibration, strict=True)
-    ])  # fmt: skip
+    motions = np.array(
+        [
+            motions_between(chain, problem.axle(sizes))
+            for chain, sizes in zip(chains, calibration, strict=True)
+        ]
+    )
     return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), calibration)
 
 
 def moved(
-    problem: Problem, motions: FloatArray, lines: FloatArray, anchors: FloatArray, calibration: FloatArray
+    problem: Problem,
+    motions: FloatArray,
+    lines: FloatArray,
+    anchors: FloatArray,
+    calibration: FloatArray,
 ) -> State:
     """The state with motions (n, t - 1, 3), and with the poses that follow from these motions."""
     chains = zip(problem.starts, motions, calibration, strict=True)
@@ -261,6 +303,10 @@ def moved(
 
 
 def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
-    """What each reading (k,) should be, given its line (k,). Those of readings without a line, -1, mean nothing."""
+    """What each reading (k,) should be, given its line (k,). Those of readings without a line, -1,
+    mean nothing.
+    """
     poses, beams = state.flat_poses[problem.readings.places], problem.beams
-    return expected_readings(poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone)
+    return expected_readings(
+        poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
+    )

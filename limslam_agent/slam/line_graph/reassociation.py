@@ -1,9 +1,10 @@
-"""Association of all readings with lines, repeated after each improvement of the poses. No association is final.
+"""Association of all readings with lines, repeated after each improvement of the poses. No
+association is final.
 
-Each round merges lines that are one wall, assigns each reading to the line that predicts it best, solves, and divides
-the lines that are more than one wall. Where two walls meet, readings of one wall can be assigned to the line of the
-other, as long as they lie within the gate. The residuals of one wall are independent, and those of two are systematic
-along the line.
+Each round merges lines that are one wall, assigns each reading to the line that predicts it best,
+solves, and divides the lines that are more than one wall. Where two walls meet, readings of one
+wall can be assigned to the line of the other, as long as they lie within the gate. The residuals of
+one wall are independent, and those of two are systematic along the line.
 """
 
 from dataclasses import dataclass, replace
@@ -23,7 +24,12 @@ from limslam_agent.slam.line_graph.line_merging import (
     merge_lines,
     wall_kinds,
 )
-from limslam_agent.slam.line_graph.line_smoother import Solution, not_grazing, range_residuals, solve
+from limslam_agent.slam.line_graph.line_smoother import (
+    Solution,
+    not_grazing,
+    range_residuals,
+    solve,
+)
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_env.geometry import FloatArray, IntArray
@@ -31,19 +37,23 @@ from limslam_env.geometry.line import direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
-_GATE = 3.5  # standard deviations, within which a line explains a reading: 0.9995 of its own readings
+_GATE = (
+    3.5  # standard deviations, within which a line explains a reading: 0.9995 of its own readings
+)
 _BEYOND = 0.10  # m: how far beyond a line's ends a beam may meet it
 _MARGIN = 3.0  # standard deviations by which the second-best line must predict a reading worse
 _FEWEST_OF_SIDE = 4  # readings
 _FEWEST_APART = 3  # readings; two of them fit any line
-# Chi-square by which two lines fit the readings of one line better where it is divided. Felt by the rows "noise told as
-# half" and "bumping" of the scoreboard.
+# Chi-square by which two lines fit the readings of one line better where it is divided. Felt by the
+# rows "noise told as half" and "bumping" of the scoreboard.
 _BEND_GATE = 16.0
 
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """A problem, its solution, and the line (k,) of each reading in it; -1 for readings that were not used."""
+    """A problem, its solution, and the line (k,) of each reading in it; -1 for readings that were
+    not used.
+    """
 
     problem: Problem
     solution: Solution
@@ -56,7 +66,8 @@ class Association:
 
 
 def reassociate(problem: Problem, state: State, labels: IntArray) -> Association:
-    """Poses, lines and associations, from approximate poses and the first associations of some readings.
+    """Poses, lines and associations, from approximate poses and the first associations of some
+    readings.
 
     Each round merges lines, re-associates readings, solves, and divides bent lines.
 
@@ -74,7 +85,9 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
     """
     found = settled(solve_labels(problem, state, labels))
     _, best = assigned(problem, found.state, seen_ends(problem, found.state, found.labels))
-    labels = with_new_lines(problem, found.state, found.labels, np.flatnonzero((best < 0) & (found.labels < 0)))
+    labels = with_new_lines(
+        problem, found.state, found.labels, np.flatnonzero((best < 0) & (found.labels < 0))
+    )
     if np.array_equal(labels, found.labels):
         return found
     return settled(solve_again(problem, with_lines(problem, found.state, labels), labels))
@@ -88,16 +101,23 @@ def settled(found: Association) -> Association:
         merged, has_merged, kinds = merge(found)
         seen = seen_ends(problem, merged.state, merged.labels)
         if board_odds(0.0, *kinds) > SURE:
-            # The walls are boards for sure: what was read from one side can be read from the other side.
-            seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-        found = straightened(solve_again(problem, merged.state, assigned(problem, merged.state, seen)[0]))
+            # The walls are boards for sure: what was read from one side can be read from the other
+            # side.
+            seen[..., 0], seen[..., 1] = (
+                seen[..., 0].min(axis=1)[:, None],
+                seen[..., 1].max(axis=1)[:, None],
+            )
+        found = straightened(
+            solve_again(problem, merged.state, assigned(problem, merged.state, seen)[0])
+        )
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
 
 
 def solve_labels(problem: Problem, state: State, labels: IntArray) -> Association:
-    """The optimum for given associations. The lines are first fitted to their readings at the poses of a state.
+    """The optimum for given associations. The lines are first fitted to their readings at the poses
+    of a state.
 
     Lines with too few readings are left out.
     """
@@ -107,7 +127,8 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
 
 
 def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
-    """The optimum for associations with the lines of a state; lines with too few readings are removed.
+    """The optimum for associations with the lines of a state; lines with too few readings are
+    removed.
 
     Raises
     ------
@@ -120,14 +141,18 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
 
 
 def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
-    """Labels of the lines with enough readings, from 0 on, and the old numbers (m,) of these lines."""
+    """Labels of the lines with enough readings, from 0 on, and the old numbers (m,) of these
+    lines.
+    """
     known, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
     is_line = (known >= 0) & (counts >= FEWEST)
     return np.where(is_line, np.cumsum(is_line) - 1, -1)[inverse], known[is_line]
 
 
 def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
-    """The state with further lines, through the readings of each label from the number of its lines on."""
+    """The state with further lines, through the readings of each label from the number of its lines
+    on.
+    """
     known, readings = len(state.lines), problem.readings
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
@@ -135,14 +160,25 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     ends = origins + readings.distances[:, None] * ahead
     for number in np.unique(labels[labels >= known]).tolist():
         points = ends[labels == number]
-        lines[number - known, 1], anchors[number - known] = fit_line(points, 1.0).line[1], points.mean(axis=0)
-    return replace(state, lines=np.vstack((state.lines, lines)), anchors=np.vstack((state.anchors, anchors)))
+        lines[number - known, 1], anchors[number - known] = (
+            fit_line(points, 1.0).line[1],
+            points.mean(axis=0),
+        )
+    return replace(
+        state, lines=np.vstack((state.lines, lines)), anchors=np.vstack((state.anchors, anchors))
+    )
 
 
 def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings of no line."""
+    """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings of no
+    line.
+    """
     used = np.flatnonzero(labels >= 0)
-    poses, beams, own = state.flat_poses[problem.readings.places[used]], problem.beams[used], labels[used]
+    poses, beams, own = (
+        state.flat_poses[problem.readings.places[used]],
+        problem.beams[used],
+        labels[used],
+    )
     lines, anchors = state.lines[own], state.anchors[own]
     origins, ahead = rays(poses, beams)
     ranges = expected_readings(poses, beams, lines, anchors, 0.0).ranges
@@ -152,7 +188,8 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
 
 
 def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """The ends of each line's readings from each side (m, 2, 2), m, without the outermost reading at each end.
+    """The ends of each line's readings from each side (m, 2, 2), m, without the outermost reading
+    at each end.
 
     Where a side has few readings, these may be of another wall, and the side counts as not seen.
     """
@@ -170,7 +207,8 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
 
 
 def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, IntArray]:
-    """For each reading (k,), the line that predicts it, or -1 if none or two do; and the best one, or -1 if none does.
+    """For each reading (k,), the line that predicts it, or -1 if none or two do; and the best one,
+    or -1 if none does.
 
     A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
     ``_BEYOND`` outside.
@@ -178,7 +216,13 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
     readings = problem.readings
     biases = state.calibration[readings.places // problem.steps, 3]
     best, misfits = best_lines(
-        state, readings.places, problem.beams, readings.distances - biases, ends, _BEYOND, problem.sensor.cone
+        state,
+        readings.places,
+        problem.beams,
+        readings.distances - biases,
+        ends,
+        _BEYOND,
+        problem.sensor.cone,
     )
     misfits /= np.sqrt(problem.variances(state, expected(problem, state, best)))[:, None]
     is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
@@ -195,7 +239,9 @@ def straightened(found: Association) -> Association:
 
 
 def _straight_labels(problem: Problem, state: State, labels: IntArray) -> IntArray:
-    """Labels (k,) in which bent lines are divided. Parts with too few readings for a line have no line."""
+    """Labels (k,) in which bent lines are divided. Parts with too few readings for a line have no
+    line.
+    """
     readings, along = expected(problem, state, labels), places_along(problem, state, labels)
     cosines = readings.cosines
     # The distance of a reading from its line is the residual along the beam times the cosine.
@@ -213,7 +259,9 @@ def _straight_labels(problem: Problem, state: State, labels: IntArray) -> IntArr
 
 
 def _straight_parts(points: FloatArray, line: IntArray) -> list[IntArray]:
-    """The readings of a line, sorted along the line, in the parts into which the line is divided."""
+    """The readings of a line, sorted along the line, in the parts into which the line is
+    divided.
+    """
     if len(line) < FEWEST + _FEWEST_APART:
         return [line]
     s, y, w = points[:, line]
@@ -229,17 +277,20 @@ def _straight_parts(points: FloatArray, line: IntArray) -> list[IntArray]:
 
 
 def _misfits(sums: FloatArray) -> FloatArray:
-    """Chi-square (k,) of the best line through points, from the sums (6, k) of w, w s, w s s, w y, w s y, w y y."""
+    """Chi-square (k,) of the best line through points, from the sums (6, k) of w, w s, w s s, w y,
+    w s y, w y y.
+    """
     w, ws, wss, wy, wsy, wyy = sums
     spread = np.maximum(wss - ws * ws / w, 1e-9 * w)
     return np.asarray(wyy - wy * wy / w - (wsy - ws * wy / w) ** 2 / spread)
 
 
 def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
-    """Merge the lines that may be one wall; whether there were such lines, and the lengths of boards and walls, m.
+    """Merge the lines that may be one wall; whether there were such lines, and the lengths of
+    boards and walls, m.
 
-    Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
-    moved far. This repeats until no pair can merge.
+    Each merge updates all lines through their joint covariance. Poses and lines are solved for
+    again when a line has moved far. This repeats until no pair can merge.
     """
     problem, has_merged = found.problem, False
     while True:

@@ -1,13 +1,16 @@
-"""Renewal of an online estimate: the last minutes of a drive are smoothed, and joined with the map from before.
+"""Renewal of an online estimate: the last minutes of a drive are smoothed, and joined with the map
+from before.
 
-The smoother estimates the lines and the last pose of a stretch of a drive relative to the pose at its beginning, from
-the readings of this stretch alone. So they are independent of the map from before, given that pose, and the two are
-joined like two local maps (J. Tardos, J. Neira, P. Newman and J. Leonard, "Robust mapping and localization in indoor
-environments using sonar data", 2002): moved to the same frame with the joint covariance, after which the lines of the
-same wall are made equal. All readings are used once, and only the map remains of them.
+The smoother estimates the lines and the last pose of a stretch of a drive relative to the pose at
+its beginning, from the readings of this stretch alone. So they are independent of the map from
+before, given that pose, and the two are joined like two local maps (J. Tardos, J. Neira, P. Newman
+and J. Leonard, "Robust mapping and localization in indoor environments using sonar data", 2002):
+moved to the same frame with the joint covariance, after which the lines of the same wall are made
+equal. All readings are used once, and only the map remains of them.
 
-Some errors are the same in each stretch: a few readings at the ends of a wall belong to its neighbours, for example.
-Without the ageing of the map they would count as independent each time, and the map would become surer than it is.
+Some errors are the same in each stretch: a few readings at the ends of a wall belong to its
+neighbours, for example. Without the ageing of the map they would count as independent each time,
+and the map would become surer than it is.
 """
 
 from dataclasses import replace
@@ -28,7 +31,9 @@ _SHORTEST = 0.3  # m: least length of a wall that the error of its direction is 
 _CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
 
 
-def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tuple[MapState, FloatArray] | None:
+def renewed(
+    start: MapState, stretch: FilteredRun, config: SmootherConfig
+) -> tuple[MapState, FloatArray] | None:
     """The state at the end of a stretch of one robot's drive, by all readings since its beginning.
 
     Parameters
@@ -36,22 +41,26 @@ def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tu
     start
         The state at the beginning of the stretch.
     stretch
-        The observations since then, and the filter's estimates, which begin at the pose of ``start``.
+        The observations since then, and the filter's estimates, which begin at the pose of
+        ``start``.
     config
         Settings of the smoother.
 
     Returns
     -------
     state, poses
-        The map from before with the walls of the stretch, which have the number ``NEW``, and the last pose; and all
-        poses of the stretch (t, 3). None if the stretch cannot be smoothed, or if its beams contradict the result.
+        The map from before with the walls of the stretch, which have the number ``NEW``, and the
+        last pose; and all poses of the stretch (t, 3). None if the stretch cannot be smoothed, or
+        if its beams contradict the result.
     """
     found = settle(stretch, config)
     if found is None or contradictions(found) > _CONTRADICTED:
         return None
     # A wall has some errors in each stretch again, which are about as large as that of a range.
     aged = _aged(start, found.problem.range_std)
-    labels = filter_labels(found.problem, stretch.associations, stretch.closures, stretch.first_step)
+    labels = filter_labels(
+        found.problem, stretch.associations, stretch.closures, stretch.first_step
+    )
     return _joined(aged, found, labels), found.state.poses[0]
 
 
@@ -64,20 +73,27 @@ def _aged(state: MapState, end_std: float) -> MapState:
 
 
 def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
-    """The map from before, and the walls and the last pose of a stretch, with their joint covariance.
+    """The map from before, and the walls and the last pose of a stretch, with their joint
+    covariance.
 
-    ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or -1.
+    ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or
+    -1.
     """
     state, solution = found.state, found.solution
-    extents = {index: extent for index, extent in enumerate(tally(found)[0]) if len(drawn_pieces(extent))}
+    extents = {
+        index: extent for index, extent in enumerate(tally(found)[0]) if len(drawn_pieces(extent))
+    }
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.labels + 1)[1:]
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     columns = np.append(
-        pose_columns(solution.unknowns.ends[-1:]), solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2)
+        pose_columns(solution.unknowns.ends[-1:]),
+        solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2),
     )
     rows = np.searchsorted(solution.unknowns.kept, columns)
     x, y, _ = start.pose.tolist()
-    by_start = np.vstack((poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors)))
+    by_start = np.vstack(
+        (poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors))
+    )
     size, old = len(rows) + 2 * len(start.lines), np.arange(POSE, POSE + 2 * len(start.lines))
     new = np.append(np.arange(POSE), np.arange(old.size + POSE, size))
     covariance = np.empty((size, size))
@@ -95,13 +111,16 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
             *start.walls,
             *(
                 Wall(
-                    NEW, extents[index], 1, int(counts[index]),
+                    NEW,
+                    extents[index],
+                    1,
+                    int(counts[index]),
                     known_as=_most_frequent(labels[found.labels == index]),
                 )
                 for index in kept.tolist()
             ),
         ],
-    )  # fmt: skip
+    )
 
 
 def _most_frequent(labels: IntArray) -> int:

@@ -1,4 +1,5 @@
-"""The map of a solution: wall segments that are cut at doors and holes, and landmarks with covariances.
+"""The map of a solution: wall segments that are cut at doors and holes, and landmarks with
+covariances.
 
 Beams confirm a wall where they end, and contradict it where they pass through.
 """
@@ -19,7 +20,9 @@ from limslam_env.geometry.line import direction, normal, normalise
 
 
 def tally(found: Association) -> tuple[list[WallExtent], int]:
-    """Where along each line of a solution beams ended and passed, and the number of beams that passed through walls."""
+    """Where along each line of a solution beams ended and passed, and the number of beams that
+    passed through walls.
+    """
     problem, state, used = found.problem, found.state, found.labels >= 0
     looks = problem.looks
     labels, along = found.labels[used], places_along(problem, state, found.labels)[used]
@@ -34,13 +37,18 @@ def tally(found: Association) -> tuple[list[WallExtent], int]:
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
-    misses, crossed = count_crossings(state, looks.places, problem.look_beams, looks.distances, low, hits, margin)
+    misses, crossed = count_crossings(
+        state, looks.places, problem.look_beams, looks.distances, low, hits, margin
+    )
     counted = np.stack((hits, misses), axis=1)
-    return [WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)], crossed
+    return [
+        WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)
+    ], crossed
 
 
 def contradictions(found: Association) -> float:
-    """Share of the looks that pass through walls, without those that saw nothing and may be dropouts of the sensor.
+    """Share of the looks that pass through walls, without those that saw nothing and may be
+    dropouts of the sensor.
 
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
@@ -55,7 +63,8 @@ def contradictions(found: Association) -> float:
 
 
 def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
-    """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the segments (k, 4), m.
+    """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the
+    segments (k, 4), m.
 
     A wall is where beams ended along a line and no beam passed through.
     """
@@ -82,7 +91,8 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     blocks = joint[own[:, None, None] + np.arange(2)[:, None], own[:, None, None] + np.arange(2)]
     jacobians = np.tile(np.eye(2), (len(lines), 1, 1))
     jacobians[:, 0, 1] = lever
-    # Reversing the normal to make r positive changes the sign of the covariance between r and theta.
+    # Reversing the normal to make r positive changes the sign of the covariance between r and
+    # theta.
     jacobians[lines[:, 0] < 0.0, 0] *= -1.0
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 

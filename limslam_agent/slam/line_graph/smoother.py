@@ -1,4 +1,6 @@
-"""Smoothing of a finished run: all poses and the map, from the observations and the filter's estimates."""
+"""Smoothing of a finished run: all poses and the map, from the observations and the filter's
+estimates.
+"""
 
 import math
 from collections.abc import Iterable
@@ -31,11 +33,13 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, turned, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
-# Chi-square of the estimated errors, of which each robot has four, from which on they are taken to be real. Felt by the
-# rows "drive 4 cm" and "sharp" of the scoreboard, whose robots have no such errors.
+# Chi-square of the estimated errors, of which each robot has four, from which on they are taken to
+# be real. Felt by the rows "drive 4 cm" and "sharp" of the scoreboard, whose robots have no such
+# errors.
 _CALIBRATION_GATE = 40.0
-# m, m, rad: how far the place at which a carried robot was found may be off beyond the covariances of its poses. It is
-# so wide that the readings decide, and so narrow that they are still associated with the walls around that place.
+# m, m, rad: how far the place at which a carried robot was found may be off beyond the covariances
+# of its poses. It is so wide that the readings decide, and so narrow that they are still associated
+# with the walls around that place.
 _FOUND_STDS = np.array([0.3, 0.3, math.radians(10.0)])
 
 
@@ -46,28 +50,35 @@ class FilteredRun:
     # robot, noise: body and beams of each robot, and the specified noise
     robot: RobotSpec
     noise: NominalNoise
-    # wheels, ranges: observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset
+    # wheels, ranges: observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the
+    # reset
     wheels: FloatArray
     ranges: FloatArray
-    # Mask (t, n, n_beams) of the readings that are of walls, without readings that may be of other robots
+    # Mask (t, n, n_beams) of the readings that are of walls, without readings that may be of other
+    # robots
     usable: BoolArray
-    # poses, covariances: the filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first poses are the
-    # known starts
+    # poses, covariances: the filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first
+    # poses are the known starts
     poses: FloatArray
     covariances: FloatArray
-    # associations, closures: the associations of the observed lines, and the merged landmarks, in order
+    # associations, closures: the associations of the observed lines, and the merged landmarks, in
+    # order
     associations: list[AssociationRecord]
     closures: list[Closure]
     first_step: int = 0  # step of the drive that row 0 belongs to, if the run is a part of a drive
-    # Robots and steps before which a robot was carried away. The poses before and after say where to.
+    # Robots and steps before which a robot was carried away. The poses before and after say where
+    # to.
     breaks: tuple[tuple[int, int], ...] = ()
-    # Robots and parts of the drive, from a step to before another one, in one step of which a robot has slipped
+    # Robots and parts of the drive, from a step to before another one, in one step of which a robot
+    # has slipped
     slips: tuple[tuple[int, int, int], ...] = ()
-    # How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
+    # How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise``
+    # state.
     sensor: RangeSensor | None = None
     # The ticks (n, 2) of the encoders, m, as the filter has found them; by ``wheels`` if left out
     ticks: FloatArray | None = None
-    # Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of its step.
+    # Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of
+    # its step.
     waiting: FloatArray | None = None
 
     @property
@@ -93,7 +104,11 @@ class FilteredRun:
             associations=[each for each in self.associations if each.readings[:, 0].max() < end],
             closures=[each for each in self.closures if each.step < end],
             breaks=tuple(each for each in self.breaks if each[1] < step),
-            slips=tuple((number, first, min(last, step)) for number, first, last in self.slips if first < step),
+            slips=tuple(
+                (number, first, min(last, step))
+                for number, first, last in self.slips
+                if first < step
+            ),
         )
 
 
@@ -104,15 +119,17 @@ class SmoothedRun:
     # poses, covariances: poses (t, n, 3), m and rad, and covariances (t, n, 3, 3)
     poses: FloatArray
     covariances: FloatArray
-    read_at: FloatArray  # the poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late
-    # landmarks, segments: the walls of the map: their lines as landmarks with covariances, and their segments (k, 4),
-    # m
+    # the poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late
+    read_at: FloatArray
+    # landmarks, segments: the walls of the map: their lines as landmarks with covariances, and
+    # their segments (k, 4), m
     landmarks: list[Landmark]
     segments: FloatArray
     # The readings of each robot that lie on each landmark, by its place in ``landmarks``
     associations: list[AssociationRecord]
-    # Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
-    # bias of all ranges, m. None where the robots are taken to be as specified, and no bias is known.
+    # Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified
+    # values, and the bias of all ranges, m. None where the robots are taken to be as specified, and
+    # no bias is known.
     calibration: FloatArray | None
     contradictions: float  # share of all looks that passed through a wall of the solution
     robot: RobotSpec  # the robot with its beams as they are mounted
@@ -123,11 +140,12 @@ def smooth_run(
 ) -> SmoothedRun | None:
     """Estimate all poses and lines of a run from all its measurements.
 
-    The filter's associations are the initial associations, and every association can change. The result is None if the
-    robots did not move or no wall was seen often enough: there is nothing to smooth then.
+    The filter's associations are the initial associations, and every association can change. The
+    result is None if the robots did not move or no wall was seen often enough: there is nothing to
+    smooth then.
 
-    ``unplaced`` is the step from which on the filter did not know the place of the only robot. From there on, the poses
-    are those of the filter.
+    ``unplaced`` is the step from which on the filter did not know the place of the only robot. From
+    there on, the poses are those of the filter.
     """
     run = run.synchronous
     found = settle(run.until(unplaced), config or SmootherConfig())
@@ -135,24 +153,45 @@ def smooth_run(
 
 
 def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> FilteredRun:
-    """Two runs of one robot each as a run of two robots, of which the one whose run is shorter stands still at its end.
+    """Two runs of one robot each as a run of two robots, of which the one whose run is shorter
+    stands still at its end.
 
     ``frame`` (3,) is the pose of the second run's frame in that of the first one.
     """
     moved = replace(
-        second, poses=compose(frame, second.poses), covariances=turned(second.covariances, float(frame[2]))
-    )  # fmt: skip
+        second,
+        poses=compose(frame, second.poses),
+        covariances=turned(second.covariances, float(frame[2])),
+    )
     steps = max(len(first.poses), len(second.poses))
-    at_the_end = {"wheels": 0.0, "ranges": math.nan, "usable": False, "poses": None, "covariances": None}
+    at_the_end = {
+        "wheels": 0.0,
+        "ranges": math.nan,
+        "usable": False,
+        "poses": None,
+        "covariances": None,
+    }
     columns: dict[str, Any] = {}
     for name, value in at_the_end.items():
         own = [getattr(run, name) for run in (first, moved)]
-        rest = [np.full((steps - len(each), *each.shape[1:]), each[-1] if value is None else value) for each in own]
-        columns[name] = np.concatenate([np.concatenate(each) for each in zip(own, rest, strict=True)], axis=1)
+        rest = [
+            np.full((steps - len(each), *each.shape[1:]), each[-1] if value is None else value)
+            for each in own
+        ]
+        columns[name] = np.concatenate(
+            [np.concatenate(each) for each in zip(own, rest, strict=True)], axis=1
+        )
     apart = 1 + max((record.landmark for record in first.associations), default=-1)
-    seconds = [replace(each, landmark=each.landmark + apart, robot=1) for each in second.associations]
-    united = [replace(each, older=each.older + apart, younger=each.younger + apart) for each in second.closures]
-    longer = max((first, second), key=lambda each: len(each.poses))  # its readings say more about the sensor
+    seconds = [
+        replace(each, landmark=each.landmark + apart, robot=1) for each in second.associations
+    ]
+    united = [
+        replace(each, older=each.older + apart, younger=each.younger + apart)
+        for each in second.closures
+    ]
+    longer = max(
+        (first, second), key=lambda each: len(each.poses)
+    )  # its readings say more about the sensor
     return FilteredRun(
         robot=first.robot,
         noise=first.noise,
@@ -165,17 +204,24 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
     )
 
 
-def smooth_with_unknown_start(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
-    """Smooth a run of two robots as :func:`smooth_run`. The second one's start is known only roughly.
+def smooth_with_unknown_start(
+    run: FilteredRun, config: SmootherConfig | None = None
+) -> SmoothedRun | None:
+    """Smooth a run of two robots as :func:`smooth_run`. The second one's start is known only
+    roughly.
 
-    It may have been carried before its first step. Its start then follows from its pose after this step.
+    It may have been carried before its first step. Its start then follows from its pose after this
+    step.
     """
     usable = run.usable.copy()
     usable[0, 1] = False
     found = smooth_run(replace(run, usable=usable, breaks=(*run.breaks, (1, 1))), config)
     if found is not None:
         motion = compose(inverse(run.poses[1, 1]), run.poses[0, 1])
-        found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
+        found.poses[0, 1], found.covariances[0, 1] = (
+            compose(found.poses[1, 1], motion),
+            found.covariances[1, 1],
+        )
     return found
 
 
@@ -185,9 +231,17 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         return None
     prior = CALIBRATION_PRIOR if config.calibrate == "always" else None
     problem = make_problem(
-        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor,
+        run.robot,
+        run.noise,
+        run.poses[0],
+        run.wheels,
+        run.ranges,
+        run.usable,
+        prior,
+        run.first_step,
+        run.sensor,
         run.ticks,
-    )  # fmt: skip
+    )
     problem = with_breaks(with_slips(problem, run), run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if np.count_nonzero(labels >= 0) < FEWEST:
@@ -202,7 +256,9 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
 
 
 def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray) -> Association:
-    """The solution with constant errors of wheels, axle and ranges if these are significant, before and after it."""
+    """The solution with constant errors of wheels, axle and ranges if these are significant, before
+    and after it.
+    """
     sized = _calibrated(found.problem)
     if not _has_errors(sized, solve(sized, found.state, found.labels)):
         return found
@@ -213,15 +269,18 @@ def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray
 def _has_errors(problem: Problem, solution: Solution) -> bool:
     """Whether the estimated constant errors are significant, by Wald's test."""
     values = (solution.state.calibration - problem.assumed_calibration).ravel()
-    return float(values @ np.linalg.solve(solution.of_calibration, values)) > _CALIBRATION_GATE * len(problem.starts)
+    return float(
+        values @ np.linalg.solve(solution.of_calibration, values)
+    ) > _CALIBRATION_GATE * len(problem.starts)
 
 
 def _calibrated(problem: Problem) -> Problem:
     """The problem with constant errors of wheels, axle and ranges.
 
-    What a wide beam reads, and what a sensor reads whose noise grows with the range, is known to some millimetres only.
-    That looks like a common error of all sizes with a bias, so the robots of such sensors have relative errors alone,
-    unless a bias is known: a wrong one has to be corrected.
+    What a wide beam reads, and what a sensor reads whose noise grows with the range, is known to
+    some millimetres only. That looks like a common error of all sizes with a bias, so the robots of
+    such sensors have relative errors alone, unless a bias is known: a wrong one has to be
+    corrected.
     """
     sensor = problem.sensor
     is_rough = (sensor.cone > 0.0 or sensor.growth > 0.0) and not sensor.bias
@@ -229,7 +288,9 @@ def _calibrated(problem: Problem) -> Problem:
 
 
 def with_slips(problem: Problem, run: FilteredRun) -> Problem:
-    """A problem in which the wheels may have slipped in any step of a part of the drive. The readings say in which."""
+    """A problem in which the wheels may have slipped in any step of a part of the drive. The
+    readings say in which.
+    """
     roots = problem.roots.copy()
     for number, first, last in run.slips:
         part = slice(max(first - 1, 0), last - 1)
@@ -241,13 +302,22 @@ def with_slips(problem: Problem, run: FilteredRun) -> Problem:
 
 
 def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
-    """A problem in which carried robots came to where the filter found them: their wheels say nothing of that motion.
+    """A problem in which carried robots came to where the filter found them: their wheels say
+    nothing of that motion.
 
-    The filter has found them by hundreds of readings, of which the associations of the run hold a few only.
+    The filter has found them by hundreds of readings, of which the associations of the run hold a
+    few only.
     """
-    wheels, roots, jumps = problem.wheels.copy(), problem.roots.copy(), np.zeros_like(problem.wheels)
+    wheels, roots, jumps = (
+        problem.wheels.copy(),
+        problem.roots.copy(),
+        np.zeros_like(problem.wheels),
+    )
     for number, step in run.breaks:
-        poses, covariances = run.poses[step - 1 : step + 1, number].copy(), run.covariances[step - 1 : step + 1, number]
+        poses, covariances = (
+            run.poses[step - 1 : step + 1, number].copy(),
+            run.covariances[step - 1 : step + 1, number],
+        )
         poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
         wheels[number, step - 1] = 0.0
         jumps[number, step - 1] = motions_between(poses, problem.robot.axle)[0]
@@ -258,9 +328,14 @@ def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
 
 
 def filter_labels(
-    problem: Problem, associations: Iterable[AssociationRecord], closures: list[Closure], first_step: int = 0
+    problem: Problem,
+    associations: Iterable[AssociationRecord],
+    closures: list[Closure],
+    first_step: int = 0,
 ) -> IntArray:
-    """For each reading (k,), the landmark of the filter's final association, or -1. Row 0 is a step of the drive."""
+    """For each reading (k,), the landmark of the filter's final association, or -1. Row 0 is a step
+    of the drive.
+    """
     count, steps = len(problem.starts), problem.steps
     table = np.full((count * steps, len(problem.robot.beams)), -1)
     united = {closure.younger: closure.older for closure in closures}
@@ -289,19 +364,25 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
         landmarks=landmarks,
         segments=segments,
         associations=_associations(found, landmarks, run.first_step),
-        calibration=found.state.calibration if problem.prior is not None or problem.sensor.bias else None,
+        calibration=found.state.calibration
+        if problem.prior is not None or problem.sensor.bias
+        else None,
         contradictions=contradictions(found),
         robot=problem.robot,
     )
 
 
-def _associations(found: Association, landmarks: list[Landmark], first_step: int) -> list[AssociationRecord]:
+def _associations(
+    found: Association, landmarks: list[Landmark], first_step: int
+) -> list[AssociationRecord]:
     problem, readings = found.problem, found.problem.readings
     records = []
     for number, mark in enumerate(landmarks):
         for robot in range(len(problem.starts)):
             own = (found.labels == mark.number) & (readings.places // problem.steps == robot)
-            rows = np.column_stack((readings.places[own] % problem.steps + first_step, readings.beams[own]))
+            rows = np.column_stack(
+                (readings.places[own] % problem.steps + first_step, readings.beams[own])
+            )
             if len(rows):
                 records.append(AssociationRecord(number, is_new=False, readings=rows, robot=robot))
     return records

@@ -1,1 +1,3 @@
-"""The graph of local maps while the robot drives: each pose uses only what was known at its time."""
+"""The graph of local maps while the robot drives: each pose uses only what was known at its
+time.
+"""

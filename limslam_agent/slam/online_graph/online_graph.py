@@ -1,9 +1,10 @@
 """The online graph: the pose while driving, in a local frame whose place the graph of chunks gives.
 
-The step follows the odometry, corrected for the errors that are known, from the last event that was smoothed. It costs
-some microseconds. After each 2.5 m of driving, a job smooths the last metres, draws a chunk when one is complete,
-searches for its loops, and solves the graph of chunks. A robot would do the job beside its steps. Its result therefore
-counts from the next key pose on, some decimetres later. The pose of the local frame in the world jumps only then.
+The step follows the odometry, corrected for the errors that are known, from the last event that was
+smoothed. It costs some microseconds. After each 2.5 m of driving, a job smooths the last metres,
+draws a chunk when one is complete, searches for its loops, and solves the graph of chunks. A robot
+would do the job beside its steps. Its result therefore counts from the next key pose on, some
+decimetres later. The pose of the local frame in the world jumps only then.
 
 Nothing here knows later events: the pose at an event is a function of the events up to it.
 """
@@ -16,15 +17,28 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import ChunkGraph, inflated
-from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, LogData, calibrated_motion, motion_variances
+from limslam_agent.slam.graph.key_poses import (
+    KEY_DISTANCE,
+    KEY_TURN,
+    LogData,
+    calibrated_motion,
+    motion_variances,
+)
 from limslam_agent.slam.graph.local_maps import cut_chunks
 from limslam_agent.slam.graph.reversing import LEAST_LENGTH, driven_backwards
-from limslam_agent.slam.online_graph.window import LocalFrame, OdometryErrors, RecentEvents, smooth_window
+from limslam_agent.slam.online_graph.window import (
+    LocalFrame,
+    OdometryErrors,
+    RecentEvents,
+    smooth_window,
+)
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
 
 _WINDOW = 15.0
-"""Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a chunk over 7 m."""
+"""Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a
+chunk over 7 m.
+"""
 
 _REVISED = 2
 """Number of earlier motions between chunks that each window estimates anew."""
@@ -35,7 +49,8 @@ class Anchor:
     """A smoothed event, from which the steps go on."""
 
     ridden: FloatArray  # pose (3,) of the event by corrected odometry alone
-    # Sums (3,) of the variances of all motions by odometry up to the event (along, across, heading), m^2 and rad^2
+    # Sums (3,) of the variances of all motions by odometry up to the event (along, across,
+    # heading), m^2 and rad^2
     variances: FloatArray
     # pose, covariance: pose (3,) and covariance (3, 3) in the world
     pose: FloatArray
@@ -49,7 +64,8 @@ class OnlineGraph:
     Parameters
     ----------
     log
-        A log of the robot. Only its beams, their longest range and their noise are used, and none of its events.
+        A log of the robot. Only its beams, their longest range and their noise are used, and none
+        of its events.
     start
         Pose (3,) of the first event.
     config
@@ -75,12 +91,19 @@ class OnlineGraph:
         self._start = np.asarray(start, dtype=float)
         self.errors = OdometryErrors.unknown(self._config.motion)
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
-        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
+        self._anchor = Anchor(
+            self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean
+        )
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
-        self._last_job, self._proofs = 0, 0  # event of the last job; stretches that prove that odometry has no sign
-        self._reversed = list[tuple[int, int]]()  # stretches that are to be turned round if that is proven
+        self._last_job, self._proofs = (
+            0,
+            0,
+        )  # event of the last job; stretches that prove that odometry has no sign
+        self._reversed = list[
+            tuple[int, int]
+        ]()  # stretches that are to be turned round if that is proven
         self._job_at = _remainder(self._config.maps)
         self._key_travel, self._key_turned = 0.0, 0.0
         self.pose, self.covariance, self.job_ms = self._start, np.zeros((3, 3)), 0.0
@@ -119,14 +142,19 @@ class OnlineGraph:
 
     @property
     def position_std(self) -> float:
-        """Standard deviation of the position in the map, m: that of the last chunk, and of the motion since."""
+        """Standard deviation of the position in the map, m: that of the last chunk, and of the
+        motion since.
+        """
         if self.places is None:
             return float(np.sqrt(np.trace(self.covariance[:2, :2])))
         moved = self._variances - self._anchor.variances
         return float(np.sqrt(self._chunk_std**2 + moved[:2].sum()))
 
     def _is_key_pose(self) -> bool:
-        driven, turned = self._recent.travel - self._key_travel, self._recent.turned - self._key_turned
+        driven, turned = (
+            self._recent.travel - self._key_travel,
+            self._recent.turned - self._key_turned,
+        )
         return driven >= KEY_DISTANCE or turned >= KEY_TURN
 
     def _do_job(self) -> None:
@@ -135,14 +163,20 @@ class OnlineGraph:
         while self._job_at <= recent.travel:
             self._job_at += maps.hop
         driven = recent.travel - recent.travel_at(recent.first)
-        frame = smooth_window(self._directed(), self.errors, self._config, min(1.0, maps.hop / driven))
+        frame = smooth_window(
+            self._directed(), self.errors, self._config, min(1.0, maps.hop / driven)
+        )
         if frame is not None:
             self.errors = frame.errors
             pose, covariance = self._placed(frame)
-            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
+            self._waiting = Anchor(
+                self._ridden, self._variances, pose, covariance, self.errors.mean
+            )
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
-            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
+            recent.forget_before(
+                min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0])
+            )
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -150,7 +184,9 @@ class OnlineGraph:
         data = recent.data(self._log)
         if recent.backwards >= LEAST_LENGTH:
             return data
-        for begin, end, is_proof in driven_backwards(data, self._config, self._last_job - recent.first):
+        for begin, end, is_proof in driven_backwards(
+            data, self._config, self._last_job - recent.first
+        ):
             self._proofs += is_proof
             self._reversed.append((recent.first + begin, recent.first + end))
         self._last_job = recent.last
@@ -162,7 +198,9 @@ class OnlineGraph:
         return recent.data(self._log)
 
     def _placed(self, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
-        """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been added."""
+        """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been
+        added.
+        """
         recent, maps = self._recent, self._config.maps
         last = len(frame.keys) - 1
         if recent.travel >= 2.0 * maps.half:
@@ -172,7 +210,9 @@ class OnlineGraph:
             key, pose, covariance = 0, self._start, np.zeros((3, 3))
         else:
             pose = self.places.poses[-1]
-            covariance = self.places.covariance[-3:, -3:] + _turned(self._first_covariance, pose - self.places.poses[0])
+            covariance = self.places.covariance[-3:, -3:] + _turned(
+                self._first_covariance, pose - self.places.poses[0]
+            )
         motion = between(frame.trajectory.poses[key], frame.poses[-1])
         own = inflated(frame.covariances(np.array([key, last])))[0]
         return compose(pose, motion), moved_covariance(pose, covariance, motion, own)
@@ -181,14 +221,18 @@ class OnlineGraph:
         """Add the chunk around a key pose of the window to the graph."""
         recent, config = self._recent, self._config
         event = recent.first + int(frame.keys.first_event[key])
-        (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range)
+        (chunk,) = cut_chunks(
+            frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range
+        )
         chunk = replace(chunk, travel=recent.travel_at(event))
         pose, before = frame.trajectory.poses[key], np.array(self._middles) - recent.first
         own = inflated(frame.covariances(np.array([frame.keys.event_key[before[-1]], key])))[0]
         path = np.vstack((frame.poses[before], pose))
         motions = between(path[:-1], path[1:])
         if self.places is None:
-            self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motions[-1], own)
+            self._first_covariance = moved_covariance(
+                self._start, np.zeros((3, 3)), motions[-1], own
+            )
             self.places, self._middles = ChunkGraph(chunk, compose(self._start, motions[-1])), []
         else:
             self.places.add(chunk, motions, own)
@@ -196,18 +240,24 @@ class OnlineGraph:
         self._middles.append(event)
 
 
-def moved_covariance(pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray) -> FloatArray:
+def moved_covariance(
+    pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray
+) -> FloatArray:
     """Covariance (3, 3) of a pose (3,) after a motion (3,) with the covariance ``own`` (3, 3)."""
     by_pose, by_motion = compose_jacobians(pose, motion)
     return np.asarray(by_pose @ covariance @ by_pose.T + by_motion @ own @ by_motion.T)
 
 
 def _turned(covariance: FloatArray, apart: FloatArray) -> FloatArray:
-    """What the covariance (3, 3) of the first pose adds to that of a pose that is ``apart`` (3,) from it."""
+    """What the covariance (3, 3) of the first pose adds to that of a pose that is ``apart`` (3,)
+    from it.
+    """
     turned = np.array([[1.0, 0.0, -apart[1]], [0.0, 1.0, apart[0]], [0.0, 0.0, 1.0]])
     return np.asarray(turned @ covariance @ turned.T)
 
 
 def _remainder(config: LocalMapConfig) -> float:
-    """Distance driven at the first job, m. Later jobs follow at each hop, so that one completes the first chunk."""
+    """Distance driven at the first job, m. Later jobs follow at each hop, so that one completes the
+    first chunk.
+    """
     return math.fmod(2.0 * config.half, config.hop) or config.hop

@@ -1,8 +1,9 @@
-"""The latest events, and the local frame: the last metres of driving, smoothed with the known errors of odometry.
+"""The latest events, and the local frame: the last metres of driving, smoothed with the known
+errors of odometry.
 
-The constant errors of odometry are estimated in each window anew. A window alone says little about them, and successive
-windows overlap. The information of all windows is therefore added up, each with the share of driving that is new in it,
-and the sum is the prior of the next window.
+The constant errors of odometry are estimated in each window anew. A window alone says little about
+them, and successive windows overlap. The information of all windows is therefore added up, each
+with the share of driving that is new in it, and the sum is the prior of the next window.
 """
 
 import math
@@ -24,31 +25,43 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.smoothing import cautious_equations, motion_covariances, smooth_locally
+from limslam_agent.slam.graph.smoothing import (
+    cautious_equations,
+    motion_covariances,
+    smooth_locally,
+)
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import between
 
 _ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
-"""Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is short."""
+"""Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is
+short.
+"""
 
 
 class RecentEvents:
-    """The latest events of a robot that reports poses of odometry, with their numbers since the beginning.
+    """The latest events of a robot that reports poses of odometry, with their numbers since the
+    beginning.
 
     Attributes
     ----------
     first
         Number of the first event that is still known.
     travel, turned, backwards
-        Distance driven, m, angle turned, rad, and distance driven backwards, m, by odometry up to the last event.
+        Distance driven, m, angle turned, rad, and distance driven backwards, m, by odometry up to
+        the last event.
     """
 
     def __init__(self) -> None:
         self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
         self._odometry: FloatArray | None = None
         self._times, self._travels = list[float](), list[float]()
-        self._moves, self._ranges, self._hits = list[FloatArray](), list[FloatArray](), list[BoolArray]()
+        self._moves, self._ranges, self._hits = (
+            list[FloatArray](),
+            list[FloatArray](),
+            list[BoolArray](),
+        )
 
     @property
     def last(self) -> int:
@@ -56,7 +69,9 @@ class RecentEvents:
         return self.first + len(self._times) - 1
 
     def append(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
-        """Note an event: its time, s, pose of odometry (3,), ranges (b,), m, and whether each saw a wall (b,)."""
+        """Note an event: its time, s, pose of odometry (3,), ranges (b,), m, and whether each saw a
+        wall (b,).
+        """
         move = np.zeros(3) if self._odometry is None else between(self._odometry, odometry)
         self._odometry = np.array(odometry)
         self.travel += math.hypot(move[0], move[1])
@@ -96,13 +111,19 @@ class RecentEvents:
         """The events as a log with the beams of another one."""
         odometry = integrate(np.zeros(3), np.array(self._moves[1:]).reshape(-1, 3))
         return replace(
-            like, time=np.array(self._times), odometry=odometry, ranges=np.array(self._ranges), hit=np.array(self._hits)
+            like,
+            time=np.array(self._times),
+            odometry=odometry,
+            ranges=np.array(self._ranges),
+            hit=np.array(self._hits),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class OdometryErrors:
-    """What is known of the constant errors of odometry: their mean (5,) and its information matrix (5, 5)."""
+    """What is known of the constant errors of odometry: their mean (5,) and its information matrix
+    (5, 5).
+    """
 
     mean: FloatArray
     information: FloatArray
@@ -113,20 +134,31 @@ class OdometryErrors:
         return cls(np.zeros(ERRORS), np.diag(np.array(config.stds) ** -2.0))
 
     def prior(self, config: OdometryErrorConfig) -> OdometryErrorConfig:
-        """The settings for odometry that is corrected for the mean errors: only what is unknown remains."""
-        turn, scale, gain, delay, direction = np.sqrt(np.diag(np.linalg.inv(self.information))).tolist()
+        """The settings for odometry that is corrected for the mean errors: only what is unknown
+        remains.
+        """
+        turn, scale, gain, delay, direction = np.sqrt(
+            np.diag(np.linalg.inv(self.information))
+        ).tolist()
         return replace(
-            config, bias_std=turn, scale_std=scale, turn_gain_std=gain, delay_std=delay, direction_std=direction
+            config,
+            bias_std=turn,
+            scale_std=scale,
+            turn_gain_std=gain,
+            delay_std=delay,
+            direction_std=direction,
         )
 
-    def after(self, remaining: FloatArray, information: FloatArray, share: float) -> "OdometryErrors":
+    def after(
+        self, remaining: FloatArray, information: FloatArray, share: float
+    ) -> "OdometryErrors":
         """What is known after a window.
 
         Parameters
         ----------
         remaining, information
-            Estimate (5,) of the errors that remained in the window after the correction, and its information (5, 5)
-            with the prior of the window.
+            Estimate (5,) of the errors that remained in the window after the correction, and its
+            information (5, 5) with the prior of the window.
         share
             Weight of the window's own information.
         """
@@ -161,7 +193,9 @@ class LocalFrame:
         return motion_covariances(self._equations, self.trajectory.poses, keys)
 
 
-def smooth_window(data: LogData, errors: OdometryErrors, config: GraphConfig, share: float) -> LocalFrame | None:
+def smooth_window(
+    data: LogData, errors: OdometryErrors, config: GraphConfig, share: float
+) -> LocalFrame | None:
     """Smooth a window of driving; None if it holds no two key poses or no points.
 
     ``share`` is the share of driving in the window that was in no earlier window.
@@ -171,7 +205,9 @@ def smooth_window(data: LogData, errors: OdometryErrors, config: GraphConfig, sh
     keys = choose_keys(data, config.keys)
     if len(keys) < 2 or not len(keys.point_key):
         return None
-    trajectory = smooth_locally(keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std)
+    trajectory = smooth_locally(
+        keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std
+    )
     equations = cautious_equations(keys, trajectory, config, data.range_std)
     columns = 3 * len(keys) + np.arange(ERRORS)
     information = np.linalg.inv(equations.covariances(columns[None], np.eye(ERRORS)[None])[0])

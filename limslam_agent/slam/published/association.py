@@ -1,7 +1,8 @@
-"""Association of an observed line with landmarks: the Mahalanobis distance, and four exclusion tests.
+"""Association of an observed line with landmarks: the Mahalanobis distance, and four exclusion
+tests.
 
-Exclusion 1 is by the end points along the wall, 2 by what the beams can see, 3 by the distance from the robot, and 4 by
-the direction of the line and the distance of its middle.
+Exclusion 1 is by the end points along the wall, 2 by what the beams can see, 3 by the distance from
+the robot, and 4 by the direction of the line and the distance of its middle.
 """
 
 from collections.abc import Callable
@@ -56,19 +57,26 @@ def associate(
     max_range: float,
     config: AssociationConfig,
 ) -> list[CandidateTest]:
-    """All landmarks with the exclusion that throws each of them out; without one, an observation may show it.
+    """All landmarks with the exclusion that throws each of them out; without one, an observation
+    may show it.
 
-    The landmarks are lines (N, 2), and segments (N, 4), m, in the world, and the robot is estimated to be at a pose
-    (3,). ``innovation`` makes of observed line, its covariance and a landmark's index their difference (2,) and the
-    covariance of both (2, 2). The robot's beams measure up to ``max_range``, m, from its centre.
+    The landmarks are lines (N, 2), and segments (N, 4), m, in the world, and the robot is estimated
+    to be at a pose (3,). ``innovation`` makes of observed line, its covariance and a landmark's
+    index their difference (2,) and the covariance of both (2, 2). The robot's beams measure up to
+    ``max_range``, m, from its centre.
     """
     if len(lines) == 0:
         return []
     ends, line, tests = transform_points(pose, observed.ends), from_frame(observed.line, pose), []
     (angles, offsets), gaps = difference(line, ends, lines), end_gaps(ends, lines, segments)
-    passed = passed_tests(observed, pose, segments, (angles, offsets, gaps), max_range + config.range_slack, config)
+    passed = passed_tests(
+        observed, pose, segments, (angles, offsets, gaps), max_range + config.range_slack, config
+    )
     for index in range(len(lines)):
-        excluded, squared = next((name for name, passes in passed.items() if not passes[index]), ""), np.nan
+        excluded, squared = (
+            next((name for name, passes in passed.items() if not passes[index]), ""),
+            np.nan,
+        )
         if not excluded:
             off, covariance = innovation(observed.line, observed.covariance, index)
             squared = float(off @ np.linalg.solve(covariance, off))
@@ -86,7 +94,8 @@ def passed_tests(
     reach: float,
     config: AssociationConfig,
 ) -> dict[str, BoolArray]:
-    """Which landmarks (N,) pass each of the four exclusion tests, by angles, offsets and gaps (N,) and their reach, m.
+    """Which landmarks (N,) pass each of the four exclusion tests, by angles, offsets and gaps (N,)
+    and their reach, m.
 
     By the test of the ends, two walls on one line with a door between them remain two landmarks.
     """
@@ -101,11 +110,18 @@ def passed_tests(
 
 
 def end_gaps(ends: FloatArray, lines: FloatArray, segments: FloatArray) -> FloatArray:
-    """Gaps (N,), m, along landmarks between their ends and those of an observation (2, 2); negative for an overlap."""
+    """Gaps (N,), m, along landmarks between their ends and those of an observation (2, 2); negative
+    for an overlap.
+    """
     directions = direction(lines)
     observed = np.sort(directions @ ends.T, axis=1)
     known = np.sort(
-        np.column_stack((np.sum(segments[:, :2] * directions, axis=1), np.sum(segments[:, 2:] * directions, axis=1))),
+        np.column_stack(
+            (
+                np.sum(segments[:, :2] * directions, axis=1),
+                np.sum(segments[:, 2:] * directions, axis=1),
+            )
+        ),
         axis=1,
     )
     return np.asarray(np.maximum(observed[:, 0] - known[:, 1], known[:, 0] - observed[:, 1]))
@@ -116,18 +132,25 @@ def visible(
 ) -> BoolArray:
     """Landmarks (N,) that the beams which made the observation can see.
 
-    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and within
-    ``max_range`` (m). A landmark behind another one counts as visible, because after a loop the map may hold the same
-    wall twice, and the younger landmark must not hide the older one.
+    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of
+    them and within ``max_range`` (m). A landmark behind another one counts as visible, because
+    after a loop the map may hold the same wall twice, and the younger landmark must not hide the
+    older one.
     """
     origins = transform_points(pose, observed.origins)
     reaches = transform_points(pose, observed.points) - origins
     reaches /= np.maximum(np.linalg.norm(reaches, axis=1, keepdims=True), 1e-12)
-    return np.asarray((_crossings(origins, reaches, segments, slack) < max_range).mean(axis=0) >= 0.5)
+    return np.asarray(
+        (_crossings(origins, reaches, segments, slack) < max_range).mean(axis=0) >= 0.5
+    )
 
 
-def _crossings(origins: FloatArray, directions: FloatArray, segments: FloatArray, slack: float) -> FloatArray:
-    """Ranges (n, N), m, at which beams meet each lengthened segment; infinite where they do not meet it."""
+def _crossings(
+    origins: FloatArray, directions: FloatArray, segments: FloatArray, slack: float
+) -> FloatArray:
+    """Ranges (n, N), m, at which beams meet each lengthened segment; infinite where they do not
+    meet it.
+    """
     start = segments[:, :2]
     span = segments[:, 2:] - start
     length = np.maximum(np.linalg.norm(span, axis=1), 1e-12)
@@ -141,7 +164,13 @@ def _crossings(origins: FloatArray, directions: FloatArray, segments: FloatArray
     return np.where(met, ahead, np.inf)
 
 
-def difference(line: FloatArray, ends: FloatArray, lines: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Angles (N,), rad, between a line and landmarks, and the distances (N,), m, of its middle from them."""
+def difference(
+    line: FloatArray, ends: FloatArray, lines: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Angles (N,), rad, between a line and landmarks, and the distances (N,), m, of its middle from
+    them.
+    """
     angles = np.abs(wrap_angle(lines[:, 1] - line[1]))
-    return np.minimum(angles, np.pi - angles), np.abs(normal(lines) @ ends.mean(axis=0) - lines[:, 0])
+    return np.minimum(angles, np.pi - angles), np.abs(
+        normal(lines) @ ends.mean(axis=0) - lines[:, 0]
+    )

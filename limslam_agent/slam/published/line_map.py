@@ -1,4 +1,6 @@
-"""The landmarks of the published method, without their lines: end points, and numbers of observations."""
+"""The landmarks of the published method, without their lines: end points, and numbers of
+observations.
+"""
 
 from dataclasses import replace
 
@@ -15,8 +17,9 @@ from limslam_env.geometry.segment import lengths
 class LineMap:
     """End points of the landmarks, by their index in the filter, which holds the lines.
 
-    End points are stored as points of the world, and projected on the line when they are requested, because every
-    update changes the line. Whoever changes lines calls :meth:`redraw`, since every step asks for the map.
+    End points are stored as points of the world, and projected on the line when they are requested,
+    because every update changes the line. Whoever changes lines calls :meth:`redraw`, since every
+    step asks for the map.
     """
 
     def __init__(self, belief: LineEKF, config: MapConfig) -> None:
@@ -45,7 +48,9 @@ class LineMap:
         tangents = direction(lines)
         position = np.einsum("ned,nd->ne", ends, tangents)
         foot = lines[:, :1] * np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))
-        self.every = np.asarray(foot[:, None] + position[..., None] * tangents[:, None]).reshape(-1, 4)
+        self.every = np.asarray(foot[:, None] + position[..., None] * tangents[:, None]).reshape(
+            -1, 4
+        )
         is_shown = np.array(self._observations, dtype=int) >= self._config.min_observations
         self._shown = np.flatnonzero(is_shown & (lengths(self.every) >= self._config.min_length))
 
@@ -58,13 +63,22 @@ class LineMap:
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
         marks = self.all_landmarks
-        return [replace(marks[index], segments=(row,)) for row, index in enumerate(self._shown.tolist())]
+        return [
+            replace(marks[index], segments=(row,)) for row, index in enumerate(self._shown.tolist())
+        ]
 
     @property
     def all_landmarks(self) -> list[Landmark]:
         """All landmarks, provisional ones included, by number."""
         return [
-            Landmark(r, theta, self._belief.line_covariance(index), ends.reshape(2, 2).copy(), count, index)
+            Landmark(
+                r,
+                theta,
+                self._belief.line_covariance(index),
+                ends.reshape(2, 2).copy(),
+                count,
+                index,
+            )
             for index, ((r, theta), ends, count) in enumerate(
                 zip(self._belief.lines.tolist(), self.every, self._observations, strict=True)
             )

@@ -1,8 +1,10 @@
-"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7).
+"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps
+2 to 7).
 
-After a loop, a wall that is observed again first becomes a new landmark, because the drift of the pose keeps it from
-being associated with the old one. Later observations fit the new landmark best, and the old landmark second best if
-the two are close enough. If the two landmarks agree, they are the same wall.
+After a loop, a wall that is observed again first becomes a new landmark, because the drift of the
+pose keeps it from being associated with the old one. Later observations fit the new landmark best,
+and the old landmark second best if the two are close enough. If the two landmarks agree, they are
+the same wall.
 """
 
 from typing import cast
@@ -10,7 +12,13 @@ from typing import cast
 import numpy as np
 
 from limslam_agent.config.published import PublishedConfig
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
+from limslam_agent.slam.core.diagnostics import (
+    AssociationRecord,
+    Closure,
+    Comparison,
+    Extraction,
+    PendingPoints,
+)
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
@@ -27,7 +35,9 @@ SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class PublishedEstimator(Estimator):
-    """The published method, which treats lines from points collected by odometry as independent of the odometry."""
+    """The published method, which treats lines from points collected by odometry as independent of
+    the odometry.
+    """
 
     filter: LineEKF
 
@@ -36,19 +46,31 @@ class PublishedEstimator(Estimator):
         self.filter = LineEKF(self._start)
         self._config = config = cast(PublishedConfig, self.config.estimator)
         self._map: LineMap = LineMap(self.filter, config.map)
-        self._buffers = [{side: ScanBuffer(self.robot, side, config.buffer) for side in SIDES} for _ in self.robots]
+        self._buffers = [
+            {side: ScanBuffer(self.robot, side, config.buffer) for side in SIDES}
+            for _ in self.robots
+        ]
         association = config.association
-        self._min_new_length = max(association.min_new_length, association.min_new_share * self.robot.reach)
+        self._min_new_length = max(
+            association.min_new_length, association.min_new_share * self.robot.reach
+        )
         self._closed: set[tuple[int, int]] = set()
 
     @property
     def association_limits(self) -> dict[str, float]:
-        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        """The limits that decide about associations and loops, for diagnostics to show beside the
+        values.
+        """
         near, loop = self._config.association, self._config.closing
         return {
-            "gate": near.gate, "angle": near.max_angle, "offset": near.max_distance, "gap": near.max_end_gap,
-            "loop_gate": loop.gate, "loop_overlap": loop.min_overlap, "loop_offset": loop.max_distance,
-        }  # fmt: skip
+            "gate": near.gate,
+            "angle": near.max_angle,
+            "offset": near.max_distance,
+            "gap": near.max_end_gap,
+            "loop_gate": loop.gate,
+            "loop_overlap": loop.min_overlap,
+            "loop_offset": loop.max_distance,
+        }
 
     def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
         del by_wheels
@@ -71,7 +93,9 @@ class PublishedEstimator(Estimator):
     def pending_points(self) -> list[PendingPoints]:
         """The points in the buffers, by robot and side."""
         return [
-            PendingPoints(number, side, transform_points(pose, buffer.scan.points), self._config.buffer.size)
+            PendingPoints(
+                number, side, transform_points(pose, buffer.scan.points), self._config.buffer.size
+            )
             for number, (pose, buffers) in enumerate(zip(self.poses, self._buffers, strict=True))
             for side, buffer in buffers.items()
         ]
@@ -80,24 +104,36 @@ class PublishedEstimator(Estimator):
         lines = extract_lines(scan.points, self._config.hough, self.config.range_std)
         found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
         ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
-        self.last_extraction = Extraction(robot, side, step, self.filter.poses[robot], scan.points, found, ends)
+        self.last_extraction = Extraction(
+            robot, side, step, self.filter.poses[robot], scan.points, found, ends
+        )
         for line in lines:
             self._incorporate(robot, step, line, scan.select(line.members))
 
     def _incorporate(self, robot: int, step: int, line: ExtractedLine, scan: Scan) -> None:
-        """Associate an observed line with a known landmark or a new one, or close a loop with it."""
+        """Associate an observed line with a known landmark or a new one, or close a loop with
+        it.
+        """
         fit, pose = line.fit, self.filter.poses[robot]
-        covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
+        covariance = fit.covariance + np.diag(
+            [0.0, self._config.filter.drift_share * float(scan.drift.mean())]
+        )
         observed = ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points)
         tests = associate(
-            observed, pose, self.filter.lines, self._map.every,
+            observed,
+            pose,
+            self.filter.lines,
+            self._map.every,
             lambda line, covariance, index: self.filter.innovation(line, covariance, index, robot),
-            self.robot.reach, self._config.association,
-        )  # fmt: skip
+            self.robot.reach,
+            self._config.association,
+        )
         if self.on_comparison is not None:
             ends = transform_points(pose, observed.ends)
             self.on_comparison(Comparison(robot, step, ends, scan.readings, tuple(tests)))
-        possible = sorted((test for test in tests if not test.excluded), key=lambda test: test.distance)
+        possible = sorted(
+            (test for test in tests if not test.excluded), key=lambda test: test.distance
+        )
         matches = [test.landmark for test in possible]
         if self._closes_loop(matches, step):
             return
@@ -116,13 +152,17 @@ class PublishedEstimator(Estimator):
             self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
 
     def _closes_loop(self, landmarks: list[int], step: int) -> bool:
-        """Whether the two landmarks nearest to an observation are one wall; then the younger is updated by the older.
+        """Whether the two landmarks nearest to an observation are one wall; then the younger is
+        updated by the older.
 
-        The observation is not used further. Each pair is closed only once: the two landmarks are not merged, and the
-        older one would otherwise be used as a new measurement again and again.
+        The observation is not used further. Each pair is closed only once: the two landmarks are
+        not merged, and the older one would otherwise be used as a new measurement again and again.
         """
         # An older landmark has a smaller number.
-        config, pair = self._config.closing, (min(landmarks[:2], default=0), max(landmarks[:2], default=0))
+        config, pair = (
+            self._config.closing,
+            (min(landmarks[:2], default=0), max(landmarks[:2], default=0)),
+        )
         is_wanted = config.enabled and self._config.filter.correct
         if len(landmarks) < 2 or pair in self._closed or not is_wanted:
             return False
@@ -138,12 +178,16 @@ class PublishedEstimator(Estimator):
         self._map.redraw()
         offset_after = self._off(older, younger)[1]
         self.closures.append(
-            Closure(older, younger, step, before, self._distance(*pair), offset_before, offset_after)
-        )  # fmt: skip
+            Closure(
+                older, younger, step, before, self._distance(*pair), offset_before, offset_after
+            )
+        )
         return True
 
     def _off(self, older: int, younger: int) -> tuple[float, float]:
-        """The angle between two landmarks, rad, and the distance of the younger one's middle from the older one, m."""
+        """The angle between two landmarks, rad, and the distance of the younger one's middle from
+        the older one, m.
+        """
         lines, ends = self.filter.lines, self._map.every[younger].reshape(2, 2)
         angles, offsets = difference(lines[younger], ends, lines[[older]])
         return angles.item(), offsets.item()
@@ -151,8 +195,8 @@ class PublishedEstimator(Estimator):
     def _distance(self, older: int, younger: int) -> float:
         """Squared Mahalanobis distance between two landmarks.
 
-        Without a floor, the difference of two landmarks that were always seen together would be known more exactly than
-        any wall is straight.
+        Without a floor, the difference of two landmarks that were always seen together would be
+        known more exactly than any wall is straight.
         """
         floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
         off, covariance = self.filter.difference(older, younger)

@@ -1,4 +1,6 @@
-"""Pseudo-dense scans: points of a few beams, collected while driving and moved by odometry into the present frame."""
+"""Pseudo-dense scans: points of a few beams, collected while driving and moved by odometry into the
+present frame.
+"""
 
 from dataclasses import dataclass
 
@@ -36,7 +38,9 @@ class Scan:
 
     def select(self, chosen: IntArray) -> "Scan":
         """The points with the given indices."""
-        return Scan(self.points[chosen], self.origins[chosen], self.readings[chosen], self.drift[chosen])
+        return Scan(
+            self.points[chosen], self.origins[chosen], self.readings[chosen], self.drift[chosen]
+        )
 
 
 class ScanBuffer:
@@ -44,7 +48,9 @@ class ScanBuffer:
 
     def __init__(self, robot: RobotSpec, side: Side, config: BufferConfig) -> None:
         self._config = config
-        self._beams = np.array([number for number, beam in enumerate(robot.beams) if beam.side == side], dtype=int)
+        self._beams = np.array(
+            [number for number, beam in enumerate(robot.beams) if beam.side == side], dtype=int
+        )
         self._origins = robot.beam_origins[self._beams]
         self._directions = robot.beam_directions[self._beams]
         # End point and origin of each beam, step and beam, and drift.
@@ -56,10 +62,17 @@ class ScanBuffer:
     @property
     def scan(self) -> Scan:
         """The points in the buffer, a copy."""
-        return Scan(self._places[:, 0].copy(), self._places[:, 1].copy(), self._readings.copy(), self._drift.copy())
+        return Scan(
+            self._places[:, 0].copy(),
+            self._places[:, 1].copy(),
+            self._readings.copy(),
+            self._drift.copy(),
+        )
 
     def move(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
-        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
+        """Move the points into the frame after a motion (3,) whose heading has a variance,
+        rad^2.
+        """
         places = self._places.reshape(-1, 2)
         places[:] = transform_points(inverse(increment), places)
         self._drift += turn_variance
@@ -69,10 +82,11 @@ class ScanBuffer:
         self._turned += abs(float(increment[2]))
 
     def add(self, ranges: FloatArray, measured: BoolArray, hit: BoolArray, step: int) -> list[Scan]:
-        """Add this side's hits among all beams' readings (n_beams,), m, at a step; the scans to extract lines from.
+        """Add this side's hits among all beams' readings (n_beams,), m, at a step; the scans to
+        extract lines from.
 
-        They are the points of a wall that has ended, and those of a full buffer. ``measured`` and ``hit`` (n_beams,)
-        say which beams have measured in this step, and which of them saw a wall.
+        They are the points of a wall that has ended, and those of a full buffer. ``measured`` and
+        ``hit`` (n_beams,) say which beams have measured in this step, and which of them saw a wall.
         """
         chosen = hit[self._beams]
         self._missed |= bool(measured[self._beams].any()) and not chosen.any()
@@ -90,7 +104,11 @@ class ScanBuffer:
     def take(self) -> Scan:
         """Empty the buffer, and return its points."""
         scan = self.scan
-        self._places, self._readings, self._drift = self._places[:0], self._readings[:0], self._drift[:0]
+        self._places, self._readings, self._drift = (
+            self._places[:0],
+            self._readings[:0],
+            self._drift[:0],
+        )
         return scan
 
     def _append(self, ranges: FloatArray, chosen: BoolArray, step: int) -> None:
@@ -98,7 +116,11 @@ class ScanBuffer:
             return
         self._moved = self._turned = 0.0
         beams, origins = self._beams[chosen], self._origins[chosen]
-        points = np.stack((origins + ranges[beams, None] * self._directions[chosen], origins), axis=1)
+        points = np.stack(
+            (origins + ranges[beams, None] * self._directions[chosen], origins), axis=1
+        )
         self._places = np.concatenate((self._places, points))
-        self._readings = np.vstack((self._readings, np.column_stack((np.full(len(beams), step), beams))))
+        self._readings = np.vstack(
+            (self._readings, np.column_stack((np.full(len(beams), step), beams)))
+        )
         self._drift = np.append(self._drift, np.zeros(len(beams)))

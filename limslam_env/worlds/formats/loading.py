@@ -1,4 +1,6 @@
-"""Reads any world: a shipped one by its name, a random floor plan by its seed, or any supported file; and writes it."""
+"""Reads any world: a shipped one by its name, a random floor plan by its seed, or any supported
+file; and writes it.
+"""
 
 import os
 import re
@@ -21,10 +23,14 @@ from limslam_env.worlds.formats.tables import (
 from limslam_env.worlds.world import World, WorldError, named
 
 RANDOM = "random:"
-"""Beginning of the names of random floor plans; the seed follows, and then the size if it is given."""
+"""Beginning of the names of random floor plans; the seed follows, and then the size if it is
+given.
+"""
 
 # A seed of at most 30 digits, and then, if given, width and height in m.
-_PLAN = re.compile(r"([0-9]{1,30})(?::([0-9]{1,3}(?:\.[0-9]{1,3})?)x([0-9]{1,3}(?:\.[0-9]{1,3})?))?")
+_PLAN = re.compile(
+    r"([0-9]{1,30})(?::([0-9]{1,3}(?:\.[0-9]{1,3})?)x([0-9]{1,3}(?:\.[0-9]{1,3})?))?"
+)
 
 LARGE = 1.0
 """Size of a file, MB, from which on its world takes many seconds to read and to check."""
@@ -35,8 +41,9 @@ WorldSource: TypeAlias = str | os.PathLike[str] | World
 def load_world(source: WorldSource) -> World:
     """A world by the name of a shipped one, by the path of a file, or as it is.
 
-    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the default radius.
-    ``random:17:40x30`` is a floor plan of 40 x 30 m. These are the names of the worlds, too.
+    ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the
+    default radius. ``random:17:40x30`` is a floor plan of 40 x 30 m. These are the names of the
+    worlds, too.
 
     Raises
     ------
@@ -46,7 +53,11 @@ def load_world(source: WorldSource) -> World:
     if isinstance(source, World):
         return source
     if isinstance(source, str) and source in shipped_worlds():
-        text = resources.files("limslam_env.worlds").joinpath(f"{source}.toml").read_text(encoding="utf-8")
+        text = (
+            resources.files("limslam_env.worlds")
+            .joinpath(f"{source}.toml")
+            .read_text(encoding="utf-8")
+        )
         return parse_world(text, source)
     if not isinstance(source, str | os.PathLike):
         raise WorldError(f"a world is a name, the path of a file, or a World, not {source!r}")
@@ -75,12 +86,17 @@ def _random_world(name: str) -> World:
     found = _PLAN.fullmatch(name.removeprefix(RANDOM))
     if found is None:
         raise WorldError(
-            f"{name[:60]!r} names no floor plan: a seed is needed, as in random:17, or a seed and a size in metres, as "
+            f"{name[:60]!r} names no floor plan: a seed is needed, as in random:17, or a seed and "
+            "a size in metres, as "
             "in random:17:40x30"
         )
     seed, width, height = found.groups()
     try:
-        config = FloorPlanConfig() if width is None else FloorPlanConfig(width=float(width), height=float(height))
+        config = (
+            FloorPlanConfig()
+            if width is None
+            else FloorPlanConfig(width=float(width), height=float(height))
+        )
     except ValueError as error:
         raise WorldError(f"{name}: {error}") from error
     plan = floor_plan(config, np.random.default_rng(int(seed)), RobotSpec().radius)
@@ -115,14 +131,15 @@ def shipped_worlds() -> list[str]:
 def write_world(world: World, path: str | os.PathLike[str], resolution: float = 0.05) -> None:
     """Write a world as ``.toml``, or as ``.yaml`` for map_server with a ``.pgm`` beside it.
 
-    A map holds walls and obstacles only: doors, starts and the loop are not written. Walls are one cell of a side
-    ``resolution``, m, thick; enclosed cells are free, and cells outside are unknown. A file that is there already is
-    replaced, and stays as it was if the new one cannot be written.
+    A map holds walls and obstacles only: doors, starts and the loop are not written. Walls are one
+    cell of a side ``resolution``, m, thick; enclosed cells are free, and cells outside are unknown.
+    A file that is there already is replaced, and stays as it was if the new one cannot be written.
 
     Raises
     ------
     WorldError
-        If the suffix is neither, the map would have too many cells, or nothing can be written there.
+        If the suffix is neither, the map would have too many cells, or nothing can be written
+        there.
     """
     path = Path(path)
     if path.suffix == ".toml":

@@ -1,8 +1,10 @@
-"""Worlds as tables of keys and values, lengths in metres: TOML, which keeps everything, and three kinds of JSON.
+"""Worlds as tables of keys and values, lengths in metres: TOML, which keeps everything, and three
+kinds of JSON.
 
-A JSON file has the keys of TOML, or it is a wall list, ``{"id": ..., "walls": [[x1, y1, x2, y2], ...]}``, or a house of
-HouseExpo, ``{"id": ..., "verts": [[x, y], ...]}``, which is its outline (Li et al., "HouseExpo: a large-scale 2D indoor
-layout dataset", 2019). Files are read up to a limit of size, and replaced in one step.
+A JSON file has the keys of TOML, or it is a wall list, ``{"id": ..., "walls": [[x1, y1, x2, y2],
+...]}``, or a house of HouseExpo, ``{"id": ..., "verts": [[x, y], ...]}``, which is its outline (Li
+et al., "HouseExpo: a large-scale 2D indoor layout dataset", 2019). Files are read up to a limit of
+size, and replaced in one step.
 """
 
 import json
@@ -24,11 +26,14 @@ _KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
 
 
 def parse_world(text: str, label: str) -> World:
-    """A world from the text of a TOML file; a WorldError, which names the ``label``, if it is none."""
+    """A world from the text of a TOML file; a WorldError, which names the ``label``, if it is
+    none.
+    """
     try:
         table = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
+        # Besides its own error, tomllib lets through what Python says of numbers with thousands of
+        # digits.
         raise WorldError(f"{label}: not TOML: {error}") from error
     with named(label):
         return keyed_world(table)
@@ -52,7 +57,11 @@ def keyed_world(table: dict[str, Any]) -> World:
             number_array(polygon, f"obstacles[{number}]", 2)
             for number, polygon in enumerate(table.get("obstacles", []))
         ),
-        **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
+        **{
+            key: number_array(table[key], key, 2)
+            for key in ("doors", "starts", "loop")
+            if key in table
+        },
     )
 
 
@@ -71,15 +80,16 @@ def world_toml(world: World) -> str:
 
 
 def _listed(key: str, rows: list[Any]) -> list[str]:
-    # What Python writes of a list of floats is TOML, and the shortest that reads back as the same floats.
+    # What Python writes of a list of floats is TOML, and the shortest that reads back as the same
+    # floats.
     return [f"{key} = [", *(f"    {row}," for row in rows), "]"]
 
 
 def read_json(path: str | os.PathLike[str]) -> World:
     """The world in a JSON file.
 
-    It is HouseExpo's if it has the key ``verts``, and a wall list if it has ``walls`` and ``id``. Otherwise it has the
-    keys of a world in TOML. A WorldError says what is wrong with the file.
+    It is HouseExpo's if it has the key ``verts``, and a wall list if it has ``walls`` and ``id``.
+    Otherwise it has the keys of a world in TOML. A WorldError says what is wrong with the file.
     """
     with named(path):
         table = _read_table(Path(path))
@@ -94,7 +104,9 @@ def read_json(path: str | os.PathLike[str]) -> World:
             return _world_of_walls(table, _length_rows(table, "walls", 4))
         if "walls" in table:
             return keyed_world(table)
-        raise WorldError("holds neither 'walls', as a world or a wall list, nor 'verts', as a house of HouseExpo")
+        raise WorldError(
+            "holds neither 'walls', as a world or a wall list, nor 'verts', as a house of HouseExpo"
+        )
 
 
 def _read_table(path: Path) -> dict[str, Any]:
@@ -110,7 +122,9 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def _length_rows(table: dict[str, Any], key: str, width: int) -> FloatArray:
-    """The rows (n, width) of lengths, m, under a key of a file; a WorldError where there are none."""
+    """The rows (n, width) of lengths, m, under a key of a file; a WorldError where there are
+    none.
+    """
     rows: FloatArray = number_array(table[key], key, 2)
     if not rows.size:
         raise WorldError(f"{key} is empty")
@@ -123,7 +137,9 @@ def _length_rows(table: dict[str, Any], key: str, width: int) -> FloatArray:
 
 
 def _world_of_walls(table: dict[str, Any], walls: FloatArray) -> World:
-    """The world with the name in a file's key ``id`` and with walls (n, 4), m; walls without length are left out."""
+    """The world with the name in a file's key ``id`` and with walls (n, 4), m; walls without length
+    are left out.
+    """
     if not isinstance(table.get("id"), str):
         raise WorldError("the key 'id' is missing" if "id" not in table else "id must be a text")
     walls = walls[lengths(walls) >= SHORTEST_EDGE]
@@ -138,7 +154,9 @@ def _no_number(name: str) -> None:
 
 
 def read_bytes(path: Path, count: int) -> bytes:
-    """The first ``count`` bytes of a file, or all when there are fewer; a WorldError where it cannot be read."""
+    """The first ``count`` bytes of a file, or all when there are fewer; a WorldError where it
+    cannot be read.
+    """
     try:
         # A pipe or a device might never end.
         if path.is_file():
@@ -162,16 +180,21 @@ def read_text(path: Path, largest: int) -> str:
 
 
 def number_array(value: Any, key: str, dimensions: int) -> Any:
-    """Nested lists of a file's numbers as an array; a WorldError, which names the ``key``, for anything else."""
+    """Nested lists of a file's numbers as an array; a WorldError, which names the ``key``, for
+    anything else.
+    """
 
     def is_number_list(item: Any, depth: int) -> bool:
         if depth > 0:
             return isinstance(item, list) and all(is_number_list(part, depth - 1) for part in item)
-        # Whole numbers of a file may be too large for a float; floats that are not finite are named later.
+        # Whole numbers of a file may be too large for a float; floats that are not finite are named
+        # later.
         return isinstance(item, float) or (type(item) is int and abs(item) <= MAX_SIDE * 1e6)
 
     if not is_number_list(value, dimensions):
-        raise WorldError(f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}")
+        raise WorldError(
+            f"{key} must be a list of {'numbers' if dimensions == 1 else 'lists of numbers'}"
+        )
     counts = [len(row) for row in value] if dimensions > 1 else []
     odd = next((row for row, count in enumerate(counts) if count != counts[0]), None)
     if odd is not None:
@@ -180,7 +203,9 @@ def number_array(value: Any, key: str, dimensions: int) -> Any:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file under another name in the same folder, then rename it, so that no incomplete file is ever seen."""
+    """Write a file under another name in the same folder, then rename it, so that no incomplete
+    file is ever seen.
+    """
     beside = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
         try:

@@ -1,4 +1,6 @@
-"""Random floor plans: rooms, corridors, doors, slanted walls and obstacles, with settings for each."""
+"""Random floor plans: rooms, corridors, doors, slanted walls and obstacles, with settings for
+each.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -33,7 +35,8 @@ DOOR_SPARE = 0.10
 
 @dataclass(frozen=True)
 class FloorPlanConfig:
-    """Measures of random floor plans. A setting that is a range (low, high) is drawn from, for each plan or thing.
+    """Measures of random floor plans. A setting that is a range (low, high) is drawn from, for each
+    plan or thing.
 
     Attributes
     ----------
@@ -42,20 +45,22 @@ class FloorPlanConfig:
     min_room
         Shortest side of a room, m.
     corridor
-        Chance that a building that is wide enough has a corridor, and that each large part of it has another.
+        Chance that a building that is wide enough has a corridor, and that each large part of it
+        has another.
     corridor_width
         Width of a corridor, m; drawn for each.
     door_width
         Width of a door, m; drawn for each.
     loops
-        Share of possible doors that are opened beyond the tree that joins all rooms: 0 leaves one way between any two
-        rooms, 1 opens a door in every wall between two rooms that has space for one.
+        Share of possible doors that are opened beyond the tree that joins all rooms: 0 leaves one
+        way between any two rooms, 1 opens a door in every wall between two rooms that has space for
+        one.
     slanted
-        Chance, for each room, of a slanted wall that stands out from a wall or on its own, and of a slanted cut, for
-        each corner of the building.
+        Chance, for each room, of a slanted wall that stands out from a wall or on its own, and of a
+        slanted cut, for each corner of the building.
     obstacles
-        Expected number of obstacles per 10 m^2 of room, where they find a place. They are convex polygons of 3 to 8
-        corners.
+        Expected number of obstacles per 10 m^2 of room, where they find a place. They are convex
+        polygons of 3 to 8 corners.
     obstacle_size
         Distance across an obstacle, m; drawn for each.
     """
@@ -75,19 +80,32 @@ class FloorPlanConfig:
         for name, value in vars(self).items():
             if isinstance(value, list):
                 object.__setattr__(self, name, tuple(value))
-        for name in ("width", "height", "min_room", "corridor_width", "door_width", "obstacle_size"):
+        for name in (
+            "width",
+            "height",
+            "min_room",
+            "corridor_width",
+            "door_width",
+            "obstacle_size",
+        ):
             _check_length(name, getattr(self, name))
         for name in ("corridor", "loops", "slanted"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ValueError(f"{name} must lie between 0 and 1, not {getattr(self, name)}")
         if not 0.0 <= self.obstacles <= MOST_OBSTACLES:
-            raise ValueError(f"obstacles must be 0 to {MOST_OBSTACLES:g} per 10 m^2, not {self.obstacles}")
+            raise ValueError(
+                f"obstacles must be 0 to {MOST_OBSTACLES:g} per 10 m^2, not {self.obstacles}"
+            )
         if bounds_of(self.obstacle_size)[0] < SMALLEST_OBSTACLE:
-            raise ValueError(f"obstacle_size must be {SMALLEST_OBSTACLE:g} m or more, not {self.obstacle_size}")
+            raise ValueError(
+                f"obstacle_size must be {SMALLEST_OBSTACLE:g} m or more, not {self.obstacle_size}"
+            )
         _check_rooms(self)
 
     def check(self, radius: float) -> None:
-        """Raise a ValueError if a robot of ``radius`` (m) does not get through all doors and corridors."""
+        """Raise a ValueError if a robot of ``radius`` (m) does not get through all doors and
+        corridors.
+        """
         if not (math.isfinite(radius) and radius > 0.0):
             raise ValueError(f"a robot's radius must be a positive length, not {radius}")
         needed = round(2.0 * radius + DOOR_SPARE, 6)
@@ -95,24 +113,31 @@ class FloorPlanConfig:
             narrowest = bounds_of(getattr(self, name))[0]
             if narrowest < needed:
                 raise ValueError(
-                    f"{name} {narrowest:g} m is too narrow for a robot of {radius:g} m radius, which needs {needed:g} m"
+                    f"{name} {narrowest:g} m is too narrow for a robot of {radius:g} m radius, "
+                    f"which needs {needed:g} m"
                 )
 
 
 def floor_plan(config: FloorPlanConfig, generator: np.random.Generator, radius: float) -> World:
-    """Draw a closed building in which a robot of ``radius`` (m) can get everywhere but into obstacles.
+    """Draw a closed building in which a robot of ``radius`` (m) can get everywhere but into
+    obstacles.
 
-    The same state of the generator, for the same settings and radius, gives the same plan on every machine, to the last
-    bit; coordinates are whole millimetres. ``doors`` holds every opening between two rooms. There are no starts and no
-    loop. A ValueError says that doors or corridors may be too narrow for the robot.
+    The same state of the generator, for the same settings and radius, gives the same plan on every
+    machine, to the last bit; coordinates are whole millimetres. ``doors`` holds every opening
+    between two rooms. There are no starts and no loop. A ValueError says that doors or corridors
+    may be too narrow for the robot.
     """
     config.check(radius)
     size = _drawn_mm(config.width, generator), _drawn_mm(config.height, generator)
     measures = Measures(
-        _mm(config.min_room), _range_mm(config.corridor_width), config.corridor,
-        math.ceil(round(1000.0 * (2.0 * radius + SPARE), 6)), config.slanted, config.obstacles,
+        _mm(config.min_room),
+        _range_mm(config.corridor_width),
+        config.corridor,
+        math.ceil(round(1000.0 * (2.0 * radius + SPARE), 6)),
+        config.slanted,
+        config.obstacles,
         _range_mm(config.obstacle_size),
-    )  # fmt: skip
+    )
     rooms, walls = layout(size, measures, generator)
     doors, doors_of = _doors(rooms, config, generator)
     outline, cuts_of = _outline(rooms, size, measures, generator)
@@ -149,7 +174,11 @@ def _outline(
     cuts_of: dict[Room, list[Segment]] = {room: [] for room in rooms}
     for is_right, is_top in ((0, 0), (1, 0), (1, 1), (0, 1)):
         x, y = is_right * size[0], is_top * size[1]
-        (room,) = [room for room in rooms if x in (room.low[0], room.high[0]) and y in (room.low[1], room.high[1])]
+        (room,) = [
+            room
+            for room in rooms
+            if x in (room.low[0], room.high[0]) and y in (room.low[1], room.high[1])
+        ]
         is_cut = generator.random() < measures.slanted
         cut = corner_cut(room, measures.clearance, generator) if is_cut else None
         if cut is None:
@@ -164,7 +193,9 @@ def _outline(
     return walls, cuts_of
 
 
-def _world(size: tuple[int, int], walls: list[Segment], obstacles: list[Polygon], doors: list[Segment]) -> World:
+def _world(
+    size: tuple[int, int], walls: list[Segment], obstacles: list[Polygon], doors: list[Segment]
+) -> World:
     """The world of these millimetres, named after its content."""
     world = World(
         name="random",
@@ -179,17 +210,22 @@ def _world(size: tuple[int, int], walls: list[Segment], obstacles: list[Polygon]
 def _check_length(name: str, setting: Setting) -> None:
     low, high = bounds_of(setting)
     if not (math.isfinite(high) and 0.0 < low <= high <= LONGEST_SIDE):
-        raise ValueError(f"{name} must be a length up to {LONGEST_SIDE:g} m, or a range of such, not {setting}")
+        raise ValueError(
+            f"{name} must be a length up to {LONGEST_SIDE:g} m, or a range of such, not {setting}"
+        )
 
 
 def _check_rooms(config: FloorPlanConfig) -> None:
     for name in ("width", "height"):
         if bounds_of(getattr(config, name))[0] < config.min_room:
-            raise ValueError(f"{name} {getattr(config, name)} is less than min_room, {config.min_room:g} m")
+            raise ValueError(
+                f"{name} {getattr(config, name)} is less than min_room, {config.min_room:g} m"
+            )
     needed = (_mm(bounds_of(config.door_width)[1]) + 2 * DOOR_MARGIN) / 1000.0
     if config.min_room < needed:
         raise ValueError(
-            f"min_room must be {needed:g} m or more, not {config.min_room:g}: the widest door needs that much wall"
+            f"min_room must be {needed:g} m or more, not {config.min_room:g}: the widest door "
+            "needs that much wall"
         )
 
 

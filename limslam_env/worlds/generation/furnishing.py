@@ -1,7 +1,9 @@
-"""The content of rooms: slanted walls and polygons, placed so that a robot can drive around all of them.
+"""The content of rooms: slanted walls and polygons, placed so that a robot can drive around all of
+them.
 
-Lengths are whole millimetres and distances are compared as squares, without rounding. Corners of polygons come from
-sums, products and quotients of floats alone, which every machine rounds alike; sines and cosines it may not.
+Lengths are whole millimetres and distances are compared as squares, without rounding. Corners of
+polygons come from sums, products and quotients of floats alone, which every machine rounds alike;
+sines and cosines it may not.
 """
 
 from dataclasses import dataclass, field
@@ -29,13 +31,18 @@ _AT_WALL_SHARE, _RECTANGLE_SHARE, _UPRIGHT_SHARE = 0.4, 0.3, 0.7
 
 
 def furnish(
-    room: Room, doors: list[Segment], cuts: list[Segment], measures: Measures, generator: np.random.Generator
+    room: Room,
+    doors: list[Segment],
+    cuts: list[Segment],
+    measures: Measures,
+    generator: np.random.Generator,
 ) -> tuple[list[Segment], list[Polygon]]:
-    """Slanted walls and obstacles for a room with its doors and cut corners; objects that do not fit are left out.
+    """Slanted walls and obstacles for a room with its doors and cut corners; objects that do not
+    fit are left out.
 
-    All keep the clearance from everything but the one wall that they may stand at. So what is free is still one
-    piece, for every robot that the clearance lets pass. Corridors stay empty. The polygons are convex, with
-    their corners counter-clockwise.
+    All keep the clearance from everything but the one wall that they may stand at. So what is free
+    is still one piece, for every robot that the clearance lets pass. Corridors stay empty. The
+    polygons are convex, with their corners counter-clockwise.
     """
     contents = _Contents(room, doors, cuts)
     if room.is_corridor:
@@ -50,11 +57,17 @@ def furnish(
 
 
 def corner_cut(room: Room, clearance: int, generator: np.random.Generator) -> Point | None:
-    """How much of a room's sides along x and y (mm) a cut takes off at an outer corner; None if there is no space."""
-    longest = [min(_LONGEST_CUT, room.side(axis) // 3, room.side(axis) - clearance) for axis in (0, 1)]
+    """How much of a room's sides along x and y (mm) a cut takes off at an outer corner; None if
+    there is no space.
+    """
+    longest = [
+        min(_LONGEST_CUT, room.side(axis) // 3, room.side(axis) - clearance) for axis in (0, 1)
+    ]
     if room.is_corridor or min(longest) < _SHORTEST_CUT:
         return None
-    along_x, along_y = (int(generator.integers(_SHORTEST_CUT, end, endpoint=True)) for end in longest)
+    along_x, along_y = (
+        int(generator.integers(_SHORTEST_CUT, end, endpoint=True)) for end in longest
+    )
     return along_x, along_y
 
 
@@ -68,10 +81,11 @@ class _Disc(NamedTuple):
 
 @dataclass
 class _Contents:
-    """The content of a room during generation: its openings, the corners that are cut off, and slanted walls.
+    """The content of a room during generation: its openings, the corners that are cut off, and
+    slanted walls.
 
-    ``discs`` are circles around what stands free, ``boxes`` lower left and upper right corners of what stands at a
-    wall, and ``obstacles`` the polygons within them.
+    ``discs`` are circles around what stands free, ``boxes`` lower left and upper right corners of
+    what stands at a wall, and ``obstacles`` the polygons within them.
     """
 
     room: Room
@@ -100,7 +114,9 @@ def _put_slanted_wall(contents: _Contents, clearance: int, generator: np.random.
 
 
 def _stub(room: Room, clearance: int, generator: np.random.Generator) -> Segment | None:
-    """A wall from a drawn side of a room inwards, at 45 degrees or more to that side; None if it finds no space."""
+    """A wall from a drawn side of a room inwards, at 45 degrees or more to that side; None if it
+    finds no space.
+    """
     axis, is_high = int(generator.integers(2)), bool(generator.integers(2))
     deepest = min(_DEEPEST_STUB, room.side(1 - axis) - clearance)
     first, last = room.low[axis] + clearance, room.high[axis] - clearance
@@ -133,8 +149,12 @@ def _put_obstacle(contents: _Contents, measures: Measures, generator: np.random.
         contents.obstacles.append(_polygon(disc._replace(radius=radius - 1), generator))
 
 
-def _box_at_wall(contents: _Contents, radius: int, clearance: int, generator: np.random.Generator) -> Segment | None:
-    """A rectangle with its longer side on a wall, and half a diagonal of ``radius``; None if it finds no place."""
+def _box_at_wall(
+    contents: _Contents, radius: int, clearance: int, generator: np.random.Generator
+) -> Segment | None:
+    """A rectangle with its longer side on a wall, and half a diagonal of ``radius``; None if it
+    finds no place.
+    """
     room, axis, is_high = contents.room, int(generator.integers(2)), bool(generator.integers(2))
     depth, width = sorted(int(2 * radius * side) for side in _on_circle(_drawn_quarter(generator)))
     first, last = room.low[axis] + clearance, room.high[axis] - clearance - width
@@ -142,9 +162,15 @@ def _box_at_wall(contents: _Contents, radius: int, clearance: int, generator: np
         return None
     base = room.high[1 - axis] - depth if is_high else room.low[1 - axis]
     for foot in generator.integers(first, last, size=_TRIES, endpoint=True).tolist():
-        box = (foot, base, foot + width, base + depth) if axis == 0 else (base, foot, base + depth, foot + width)
+        box = (
+            (foot, base, foot + width, base + depth)
+            if axis == 0
+            else (base, foot, base + depth, foot + width)
+        )
         corners = _corners(box)
-        edges = [(*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)]
+        edges = [
+            (*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)
+        ]
         if (
             all(
                 _boxes_are_apart((disc.x, disc.y, disc.x, disc.y), box, disc.radius + clearance)
@@ -162,8 +188,12 @@ def _drawn_quarter(generator: np.random.Generator) -> float:
     return 0.05 + 0.15 * float(generator.random())
 
 
-def _placed(contents: _Contents, radius: int, clearance: int, generator: np.random.Generator) -> _Disc | None:
-    """A disc at a drawn place where it keeps the clearance from everything in the room; None if none was found."""
+def _placed(
+    contents: _Contents, radius: int, clearance: int, generator: np.random.Generator
+) -> _Disc | None:
+    """A disc at a drawn place where it keeps the clearance from everything in the room; None if
+    none was found.
+    """
     keep = radius + clearance
     low = [side + keep for side in contents.room.low]
     high = [side - keep for side in contents.room.high]
@@ -172,7 +202,10 @@ def _placed(contents: _Contents, radius: int, clearance: int, generator: np.rand
     for _ in range(_TRIES):
         x, y = (int(place) for place in generator.integers(low, high, endpoint=True))
         if (
-            all((x - disc.x) ** 2 + (y - disc.y) ** 2 >= (keep + disc.radius) ** 2 for disc in contents.discs)
+            all(
+                (x - disc.x) ** 2 + (y - disc.y) ** 2 >= (keep + disc.radius) ** 2
+                for disc in contents.discs
+            )
             and all(_boxes_are_apart((x, y, x, y), box, keep) for box in contents.boxes)
             and not any(_is_near((x, y), wall, keep) for wall in (*contents.cuts, *contents.walls))
             and not any(_is_near((x, y), door, keep + _BEFORE_DOORS) for door in contents.doors)
@@ -182,13 +215,15 @@ def _placed(contents: _Contents, radius: int, clearance: int, generator: np.rand
 
 
 def _keeps_clear(wall: Segment, contents: _Contents, clearance: int) -> bool:
-    return all(_are_apart(wall, other, clearance) for other in (*contents.cuts, *contents.walls)) and all(
-        _are_apart(wall, door, clearance + _BEFORE_DOORS) for door in contents.doors
-    )
+    return all(
+        _are_apart(wall, other, clearance) for other in (*contents.cuts, *contents.walls)
+    ) and all(_are_apart(wall, door, clearance + _BEFORE_DOORS) for door in contents.doors)
 
 
 def _polygon(disc: _Disc, generator: np.random.Generator) -> Polygon:
-    """A convex polygon of 3 to 8 corners within a disc, counter-clockwise: a rectangle, or corners on an ellipse."""
+    """A convex polygon of 3 to 8 corners within a disc, counter-clockwise: a rectangle, or corners
+    on an ellipse.
+    """
     if generator.random() < _RECTANGLE_SHARE:
         x, y = _on_circle(_drawn_quarter(generator))
         corners = [(x, y), (-x, y), (-x, -y), (x, -y)]
@@ -202,7 +237,10 @@ def _polygon(disc: _Disc, generator: np.random.Generator) -> Polygon:
         turn = float(generator.random())
     cosine, sine = _on_circle(turn)
     return [
-        (disc.x + round(disc.radius * (cosine * x - sine * y)), disc.y + round(disc.radius * (sine * x + cosine * y)))
+        (
+            disc.x + round(disc.radius * (cosine * x - sine * y)),
+            disc.y + round(disc.radius * (sine * x + cosine * y)),
+        )
         for x, y in corners
     ]
 
@@ -244,11 +282,17 @@ def _is_near(point: Point, segment: Segment, distance: int) -> bool:
 def _are_apart(first: Segment, second: Segment, distance: int) -> bool:
     """Whether two segments do not cross and keep a distance (mm)."""
     ends = [(first[:2], second), (first[2:], second), (second[:2], first), (second[2:], first)]
-    return not _cross(first, second) and not any(_is_near(end, other, distance) for end, other in ends)
+    return not _cross(first, second) and not any(
+        _is_near(end, other, distance) for end, other in ends
+    )
 
 
 def _cross(first: Segment, second: Segment) -> bool:
     def side(segment: Segment, x: int, y: int) -> bool:
-        return (segment[2] - segment[0]) * (y - segment[1]) > (segment[3] - segment[1]) * (x - segment[0])
+        return (segment[2] - segment[0]) * (y - segment[1]) > (segment[3] - segment[1]) * (
+            x - segment[0]
+        )
 
-    return side(first, *second[:2]) != side(first, *second[2:]) and side(second, *first[:2]) != side(second, *first[2:])
+    return side(first, *second[:2]) != side(first, *second[2:]) and side(
+        second, *first[:2]
+    ) != side(second, *first[2:])

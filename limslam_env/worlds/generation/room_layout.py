@@ -9,7 +9,8 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-# A door stands this far from the ends of the wall between two rooms: each jamb is a piece that beams can see.
+# A door stands this far from the ends of the wall between two rooms: each jamb is a piece that
+# beams can see.
 DOOR_MARGIN = 150
 
 # Walls meet a third one from two sides either far enough apart for a robot to tell, or not at all.
@@ -29,7 +30,9 @@ _Interval: TypeAlias = tuple[int, int]
 
 
 class Span(NamedTuple):
-    """A line segment from ``low`` to ``high`` (mm) along an axis, 0 for x, 1 for y, ``at`` a place on the other."""
+    """A line segment from ``low`` to ``high`` (mm) along an axis, 0 for x, 1 for y, ``at`` a place
+    on the other.
+    """
 
     axis: int
     at: int
@@ -83,11 +86,15 @@ class Measures(NamedTuple):
     obstacle_size: _Interval
 
 
-def layout(size: tuple[int, int], measures: Measures, generator: np.random.Generator) -> tuple[list[Room], list[Span]]:
-    """Cut a rectangle of a size (x, y), mm, into rooms and corridors, and walls between them, still without doors.
+def layout(
+    size: tuple[int, int], measures: Measures, generator: np.random.Generator
+) -> tuple[list[Room], list[Span]]:
+    """Cut a rectangle of a size (x, y), mm, into rooms and corridors, and walls between them, still
+    without doors.
 
-    Where a wall ends, the rooms on its two sides share it for the length of a shortest side at least, for no corridor
-    lies in a corner. So all rooms can be joined if that length is enough for a door, however the cuts fall.
+    Where a wall ends, the rooms on its two sides share it for the length of a shortest side at
+    least, for no corridor lies in a corner. So all rooms can be joined if that length is enough for
+    a door, however the cuts fall.
     """
     cutter = _Cutter(measures, generator)
     todo: list[_Part] = [(Room((0, 0), size), None)]
@@ -100,7 +107,8 @@ def layout(size: tuple[int, int], measures: Measures, generator: np.random.Gener
     return cutter.rooms, cutter.walls
 
 
-# A part of the building that may be cut, and the axis that a corridor through it runs along; None: the longer side.
+# A part of the building that may be cut, and the axis that a corridor through it runs along; None:
+# the longer side.
 _Part: TypeAlias = tuple[Room, int | None]
 
 
@@ -125,7 +133,9 @@ class _Cutter:
             return []
         blocked = self._blocked_for(part, across)
         blocked += [(low - width, high - width) for low, high in blocked]
-        places = _free_places(part.low[across] + smallest, part.high[across] - smallest - width, blocked)
+        places = _free_places(
+            part.low[across] + smallest, part.high[across] - smallest - width, blocked
+        )
         if not places:
             return []
         lower = self._drawn(places)
@@ -182,7 +192,9 @@ class _Cutter:
 
 
 def sections(rooms: list[Room], shortest: int) -> list[Section]:
-    """Wall segments of at least ``shortest`` mm that two rooms share; two rectangles share one at most."""
+    """Wall segments of at least ``shortest`` mm that two rooms share; two rectangles share one at
+    most.
+    """
     found = []
     for axis in (0, 1):
         across = 1 - axis
@@ -198,11 +210,17 @@ def sections(rooms: list[Room], shortest: int) -> list[Section]:
     return found
 
 
-def opened(candidates: list[Section], rooms: list[Room], loops: float, generator: np.random.Generator) -> list[Section]:
-    """The sections that get a door: a random tree over all rooms, and a fraction ``loops`` of the remaining ones."""
+def opened(
+    candidates: list[Section], rooms: list[Room], loops: float, generator: np.random.Generator
+) -> list[Section]:
+    """The sections that get a door: a random tree over all rooms, and a fraction ``loops`` of the
+    remaining ones.
+    """
     weights = generator.random(len(candidates)).tolist()
     for number, section in enumerate(candidates):
-        weights[number] *= _CORRIDOR_WEIGHT ** sum(rooms[room].is_corridor for room in section.rooms)
+        weights[number] *= _CORRIDOR_WEIGHT ** sum(
+            rooms[room].is_corridor for room in section.rooms
+        )
     root = list(range(len(rooms)))
     tree: list[Section] = []
     others: list[Section] = []
@@ -214,7 +232,9 @@ def opened(candidates: list[Section], rooms: list[Room], loops: float, generator
 
 
 def door_in(section: Section, width: _Interval, generator: np.random.Generator) -> Span:
-    """A door (mm) at a drawn place of a section, of a drawn width, with a margin to the section's ends."""
+    """A door (mm) at a drawn place of a section, of a drawn width, with a margin to the section's
+    ends.
+    """
     axis, at, low, high = section.span
     space = high - low - 2 * DOOR_MARGIN
     opening = int(generator.integers(width[0], min(width[1], space), endpoint=True))

@@ -28,8 +28,10 @@ def folders(tmp_path):
 def test_the_mean_time_decides_and_lost_plans_cost_the_longest_time(folders):
     found = board(folders)
     assert [(each.name, each.place) for each in found.standings] == [
-        ("Fast", 1), ("Wrong <b>", 2), ("Slow", 3),
-    ]  # fmt: skip
+        ("Fast", 1),
+        ("Wrong <b>", 2),
+        ("Slow", 3),
+    ]
     fast, wrong, slow = found.standings
     assert wrong.score.value == pytest.approx((6 * 90.0 + 2 * 240.0) / 8)
     assert (wrong.solved, wrong.claimed) == (6, 1)
@@ -46,8 +48,10 @@ def test_a_row_without_a_score_has_the_worst_one_and_equal_scores_share_a_place(
         made.append(made_results(tmp_path / name, entry, {0: 100.0 if name != "Third" else None}))
     found = board(made)
     assert [(each.name, each.place, each.score.value) for each in found.standings] == [
-        ("First", 1, 100.0), ("Second", 1, 100.0), ("Third", 3, 240.0),
-    ]  # fmt: skip
+        ("First", 1, 100.0),
+        ("Second", 1, 100.0),
+        ("Third", 3, 240.0),
+    ]
 
 
 def test_entries_are_compared_on_the_plans_that_all_have_run(folders, tmp_path):
@@ -60,7 +64,8 @@ def test_entries_are_compared_on_the_plans_that_all_have_run(folders, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("seed", "times", "reason"), [(5, {0: 10.0}, "has other plans than"), (0, {50: 10.0}, "have no plan in common")]
+    ("seed", "times", "reason"),
+    [(5, {0: 10.0}, "has other plans than"), (0, {50: 10.0}, "have no plan in common")],
 )
 def test_results_that_cannot_be_compared_are_refused(folders, tmp_path, seed, times, reason):
     entry = made_entry(tmp_path / "entries" / "other", MANIFEST.format(name="Other"))
@@ -105,7 +110,10 @@ def opened(chromium, folders, tmp_path):
 
 
 def column_of(opened, table, number):
-    cells = f"[...document.querySelectorAll('#{table} tbody tr')].map((row) => row.cells[{number}].textContent)"
+    cells = (
+        f"[...document.querySelectorAll('#{table} tbody tr')].map((row) => "
+        f"row.cells[{number}].textContent)"
+    )
     return opened.run(cells)
 
 
@@ -115,7 +123,10 @@ def test_the_page_shows_entries_runs_and_curves(opened):
     assert column_of(opened, "pairs", 0) == ["Fast", "Fast", "Wrong <b>"]
     assert column_of(opened, "pairs", 1) == ["Wrong <b>", "Slow", "Slow"]
     assert opened.run("plot.series.length") == 4
-    drawn = "new Set(new Uint32Array(plot.ctx.getImageData(0, 0, plot.ctx.canvas.width, 300).data.buffer)).size"
+    drawn = (
+        "new Set(new Uint32Array(plot.ctx.getImageData(0, 0, plot.ctx.canvas.width, "
+        "300).data.buffer)).size"
+    )
     assert opened.run(drawn) > 20
     # Wrong has solved six of its eight plans after 90 s, and no more at the end.
     assert opened.run("plot.data[2][plot.data[0].findIndex((time) => time >= 90)]") == 0.75

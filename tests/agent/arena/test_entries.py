@@ -29,7 +29,9 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
     robots = made_by_file(entry.run, RobotSpec(), PolicyConfig(), robots=2, seed=0)
     for number, robot in enumerate(robots):
         robot.reset(np.array([float(number), 0.0, 0.0]))
-        robot.act({"ranges": np.full(6, 0.5, dtype=np.float32), "wheels": np.zeros(2, dtype=np.float32)})
+        robot.act(
+            {"ranges": np.full(6, 0.5, dtype=np.float32), "wheels": np.zeros(2, dtype=np.float32)}
+        )
     first, second = (robot.mapper.belief for robot in robots)
     assert first.pose[0] == pytest.approx(0.0, abs=0.01)
     assert second.pose[0] == pytest.approx(1.0, abs=0.01)
@@ -40,12 +42,20 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
     ("old", "new", "message"),
     [
         ('name = "Mine"\n', "", "entry.toml: name: is missing"),
-        ('kind = "shipped"', 'kind = "magic"', "shipped, python, command can be chosen, not 'magic'"),
+        (
+            'kind = "shipped"',
+            'kind = "magic"',
+            "shipped, python, command can be chosen, not 'magic'",
+        ),
         ('uses = "belief"', 'uses = "truth"', "belief, readings can be chosen, not 'truth'"),
         ('run = "random"', 'run = "tour"', "can be chosen, not 'tour'"),
         ("robots = 2", "speed = 2", "speed"),
         ('run = "random"', 'command = ["drive"]', "a command has the key command"),
-        ('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "../mine.py:Mine"', "not in the folder"),
+        (
+            'kind = "shipped"\nrun = "random"',
+            'kind = "python"\nrun = "../mine.py:Mine"',
+            "not in the folder",
+        ),
         ('name = "Mine"', "name = ", "is not TOML"),
     ],
 )
@@ -63,9 +73,14 @@ def test_what_is_run_is_part_of_the_digest(tmp_path, place):
     made_entry(mine, GOOD)
     (mine / place).mkdir()
     (mine / place / "mine.py").write_text("class Mine: pass")
-    kinds = ('kind = "python"\nrun = "{}/mine.py:Mine"', 'kind = "command"\ncommand = ["{{python}}", "{}/mine.py"]')
+    kinds = (
+        'kind = "python"\nrun = "{}/mine.py:Mine"',
+        'kind = "command"\ncommand = ["{{python}}", "{}/mine.py"]',
+    )
     for kind in kinds:
-        manifest = GOOD.replace('kind = "shipped"\nrun = "random"', kind.format(place)).replace("belief", "readings")
+        manifest = GOOD.replace('kind = "shipped"\nrun = "random"', kind.format(place)).replace(
+            "belief", "readings"
+        )
         (mine / "entry.toml").write_text(manifest)
         with pytest.raises(ValueError, match="not part of the entry's digest"):
             read_entry(mine)
@@ -89,7 +104,10 @@ def test_the_digest_covers_all_files_but_what_python_compiled(tmp_path):
 
 
 ROBOT = RobotSpec()
-SEEN = {"ranges": np.full(6, 1.5, dtype=np.float32), "wheels": np.array([0.01022, 0.02033], dtype=np.float32)}
+SEEN = {
+    "ranges": np.full(6, 1.5, dtype=np.float32),
+    "wheels": np.array([0.01022, 0.02033], dtype=np.float32),
+}
 
 
 @pytest.fixture
@@ -148,11 +166,15 @@ for line in sys.stdin:
 
 
 def test_a_process_that_ends_is_named(started):
-    with pytest.raises(ValueError, match="the command has ended without stopping the robot: ZeroDivisionError"):
+    with pytest.raises(
+        ValueError, match="the command has ended without stopping the robot: ZeroDivisionError"
+    ):
         started("1 / 0").act(SEEN)
 
 
-@pytest.mark.parametrize(("limit", "task"), [("GREETING_WITHIN", "greet the robot"), ("ANSWER_WITHIN", "answer")])
+@pytest.mark.parametrize(
+    ("limit", "task"), [("GREETING_WITHIN", "greet the robot"), ("ANSWER_WITHIN", "answer")]
+)
 def test_a_process_that_is_silent_is_named(started, monkeypatch, limit, task):
     greet = GREETING if limit == "ANSWER_WITHIN" else ""
     monkeypatch.setattr(command, limit, 0.05 if limit == "GREETING_WITHIN" else 0.5)
@@ -196,7 +218,9 @@ def free(shift=0.0, columns=30):
     """A map that calls the left part of that floor free, moved to the right by some metres."""
     x, y = np.meshgrid(np.arange(columns), np.arange(20))
     centres = np.column_stack((0.1 * (x.ravel() + 0.5) + shift, 0.1 * (y.ravel() + 0.5)))
-    return SimpleNamespace(free=np.ones(len(centres), dtype=bool), centres=lambda index: centres[index.ravel()])
+    return SimpleNamespace(
+        free=np.ones(len(centres), dtype=bool), centres=lambda index: centres[index.ravel()]
+    )
 
 
 @pytest.mark.parametrize(
@@ -219,7 +243,11 @@ def test_coverage_is_correct_where_it_was_seen_and_the_map_says_so(seen_columns,
 
 def test_a_plan_takes_the_time_to_its_coverage():
     scores = exploration_scores(PLAN, TIME, COVERAGE, 0.97, is_finished=True)
-    assert (scores["plan_time_to_80_s"], scores["plan_time_to_95_s"], scores["lost"]) == (10.0, 20.0, "")
+    assert (scores["plan_time_to_80_s"], scores["plan_time_to_95_s"], scores["lost"]) == (
+        10.0,
+        20.0,
+        "",
+    )
 
 
 def test_the_time_since_the_last_new_cell_is_that_of_the_end():

@@ -1,4 +1,6 @@
-"""Entries that run: results are resumed after a kill, verified to the bit, and failures of an entry are its losses."""
+"""Entries that run: results are resumed after a kill, verified to the bit, and failures of an entry
+are its losses.
+"""
 
 import json
 import subprocess
@@ -16,7 +18,9 @@ from limslam_agent.arena.verify import differences, opened, verify
 from limslam_agent.cli.arena import write_kept_run
 from limslam_agent.measurements.store import RESULTS, open_store, read_stamp
 
-PYTHON = MANIFEST.replace('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"')
+PYTHON = MANIFEST.replace(
+    'kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"'
+)
 POLICY = """
 import numpy as np
 
@@ -49,7 +53,9 @@ def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
     run_all(entry, short_plans[:1], folder, keep=write_kept_run)
     whole = (folder / RESULTS).read_bytes()
     (folder / RESULTS).write_bytes(whole + b'{"plan": 1, "sett')  # killed while it wrote
-    rows = run_all(entry, short_plans[:2], folder, report=lambda row, count: seen.append((row.plan, count)))
+    rows = run_all(
+        entry, short_plans[:2], folder, report=lambda row, count: seen.append((row.plan, count))
+    )
     assert seen == [(1, 2)]
     assert [row.plan for row in rows] == [0, 1]
     assert (folder / RESULTS).read_bytes().startswith(whole)
@@ -68,16 +74,26 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
     with open_store(FORMAT, folder, read_stamp(FORMAT, folder)) as store:
         store.append(replace(store.rows[0], plan=1, error="did not answer within 5 s"))
     assert run_all(entry, short_plans[:2], folder)[1].error
-    run_all(entry, short_plans[:1], folder, retry_failed=True)  # the failed plan is not among the chosen ones
+    run_all(
+        entry, short_plans[:1], folder, retry_failed=True
+    )  # the failed plan is not among the chosen ones
     assert (folder / RESULTS).read_bytes() != kept
-    rows = run_all(entry, short_plans[:2], folder, retry_failed=True, report=lambda row, _: seen.append(row.plan))
+    rows = run_all(
+        entry,
+        short_plans[:2],
+        folder,
+        retry_failed=True,
+        report=lambda row, _: seen.append(row.plan),
+    )
     assert seen == [1]
     assert [row.error for row in rows] == [None, None]
     assert (folder / RESULTS).read_bytes().startswith(kept)
 
 
 def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
-    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body="return [0.5, 0.4]"))
+    entry = made_entry(
+        tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body="return [0.5, 0.4]")
+    )
     row = run_job(Job(entry, short_plans[1], {}, ""))
     assert row.error is None
     assert row.metrics["path_m"] == pytest.approx(2.0 * 0.45 * 0.3, rel=0.05)
@@ -140,7 +156,10 @@ def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
 
 def test_a_process_is_verified_within_bounds(entry, short_plans):
     row = run_job(Job(entry, short_plans[0], {}, ""))
-    near, far = ({**row.metrics, "correct_coverage": row.metrics["correct_coverage"] + off} for off in (0.04, 0.06))
+    near, far = (
+        {**row.metrics, "correct_coverage": row.metrics["correct_coverage"] + off}
+        for off in (0.04, 0.06)
+    )
     made = [type(row)(row.plan, row.setting, metrics) for metrics in (near, far)]
     assert differences(row, made[0], is_process=True) == []
     assert differences(row, made[0], is_process=False)
@@ -189,7 +208,10 @@ def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
     [
         (("run", "nowhere", "--out", "out"), "there is no such folder"),
         (("run", "entry", "--out", "out", "--plans", "500"), "Invalid value for '--plans'"),
-        (("run", "entry", "--out", "out", "--secret-seed"), "a whole number of 0 or more from standard input"),
+        (
+            ("run", "entry", "--out", "out", "--secret-seed"),
+            "a whole number of 0 or more from standard input",
+        ),
         (("verify", "nowhere"), "holds no results of the arena"),
         (("page", "nowhere", "--out", "board.txt"), "a page ends in .html"),
     ],
@@ -222,9 +244,23 @@ def test_an_entry_does_not_see_the_secret_seed_in_the_processes_above_it(tmp_pat
     folder.mkdir()
     (folder / "spy.py").write_text(SPY)
     (folder / "entry.toml").write_text(
-        'name = "Spy"\nauthors = ["A"]\nkind = "command"\ncommand = ["{python}", "spy.py"]\nuses = "readings"\n'
+        'name = "Spy"\nauthors = ["A"]\nkind = "command"\ncommand = ["{python}", "spy.py"]\nuses '
+        '= "readings"\n'
     )
-    words = [sys.executable, "-m", "limslam_agent", "arena", "run", folder, "--out", tmp_path / "out"]
-    subprocess.run([*words, "--plans", "1", "--jobs", "1", "--secret-seed"], input=b"31415926535\n", check=False)
+    words = [
+        sys.executable,
+        "-m",
+        "limslam_agent",
+        "arena",
+        "run",
+        folder,
+        "--out",
+        tmp_path / "out",
+    ]
+    subprocess.run(
+        [*words, "--plans", "1", "--jobs", "1", "--secret-seed"],
+        input=b"31415926535\n",
+        check=False,
+    )
     (row,) = read_results(tmp_path / "out")[1].values()
     assert "only a command was seen" in row.error

@@ -15,9 +15,19 @@ from limslam_agent.cli import warmup as warmup_module
 from limslam_env import load_world
 
 RUN_FILES = {
-    "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
-    "run.toml", "world.toml", "covariance_est.npz", "trajectory_odometry.tum",
-}  # fmt: skip
+    "log.npz",
+    "result.json",
+    "trajectory_true.tum",
+    "trajectory_est.tum",
+    "map.json",
+    "map.pgm",
+    "map.yaml",
+    "map.png",
+    "run.toml",
+    "world.toml",
+    "covariance_est.npz",
+    "trajectory_odometry.tum",
+}
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
 SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
@@ -30,7 +40,9 @@ def carmen_line(x, time):
 @pytest.fixture
 def carmen_log(tmp_path):
     path = tmp_path / "corridor.log"
-    path.write_text("\n".join(carmen_line(0.05 * step, 100.0 + 0.1 * step) for step in range(80)) + "\n")
+    path.write_text(
+        "\n".join(carmen_line(0.05 * step, 100.0 + 0.1 * step) for step in range(80)) + "\n"
+    )
     return path
 
 
@@ -52,13 +64,37 @@ def test_result_has_the_promised_parts_and_metrics(short_run):
     result = json.loads((short_run / "result.json").read_text())
     assert {"metrics", "cost", "config", "versions", "seed"} <= set(result)
     promised = {
-        "ate_m", "ate_aligned_m", "heading_rmse_deg", "final_error_m", "rpe_m_per_m", "anees", "nees_in_95",
-        "wall_recall", "wall_precision", "wall_f1", "wall_f1_5cm", "wall_f1_aligned", "spurious_walls", "spurious_m",
-        "duplicate_m", "doors_open", "coverage_true", "coverage_claimed", "coverage_correct", "time_to_50_s",
-        "time_to_90_s", "time_to_95_s", "exploration_time_s", "path_m", "collisions", "stop_reason",
-    }  # fmt: skip
+        "ate_m",
+        "ate_aligned_m",
+        "heading_rmse_deg",
+        "final_error_m",
+        "rpe_m_per_m",
+        "anees",
+        "nees_in_95",
+        "wall_recall",
+        "wall_precision",
+        "wall_f1",
+        "wall_f1_5cm",
+        "wall_f1_aligned",
+        "spurious_walls",
+        "spurious_m",
+        "duplicate_m",
+        "doors_open",
+        "coverage_true",
+        "coverage_claimed",
+        "coverage_correct",
+        "time_to_50_s",
+        "time_to_90_s",
+        "time_to_95_s",
+        "exploration_time_s",
+        "path_m",
+        "collisions",
+        "stop_reason",
+    }
     assert promised <= set(result["metrics"])
-    assert {"slam_ms_median", "slam_ms_p99", "speed_x_real_time", "peak_rss_mb"} <= set(result["cost"])
+    assert {"slam_ms_median", "slam_ms_p99", "speed_x_real_time", "peak_rss_mb"} <= set(
+        result["cost"]
+    )
     assert result["seed"] == 300
     # Twelve seconds are not enough, and the run says so.
     assert result["metrics"]["stop_reason"].startswith("time")
@@ -122,7 +158,9 @@ def test_force_never_replaces_what_is_no_run(tmp_path):
 
 
 def test_laps_drive_round_the_square(tmp_path):
-    result = limslam("run", "--world", "square", "--laps", "1", "--noise", "0", "--out", tmp_path / "lap")
+    result = limslam(
+        "run", "--world", "square", "--laps", "1", "--noise", "0", "--out", tmp_path / "lap"
+    )
     assert result.returncode == 0, result.stderr
     metrics = json.loads((tmp_path / "lap" / "result.json").read_text())["metrics"]
     assert metrics["stop_reason"] == "all laps driven"
@@ -142,7 +180,10 @@ def test_laps_drive_round_the_square(tmp_path):
         (("run", "--kidnap-at", "0"), "not at 0 s"),
         (("run", "--kidnap-at", "5", "--robots", "2"), "one of several robots cannot be kidnapped"),
         (("run", "--unknown-starts", "--robots", "3"), "unknown starts are for two robots, not 3"),
-        (("run", "--unknown-starts", "--robots", "2", "--preset", "paper"), "with the preset graph"),
+        (
+            ("run", "--unknown-starts", "--robots", "2", "--preset", "paper"),
+            "with the preset graph",
+        ),
         (
             ("run", "--unknown-starts", "--robots", "2", "--policy", "random"),
             "unknown starts are for the policy frontier",
@@ -153,9 +194,15 @@ def test_laps_drive_round_the_square(tmp_path):
         (("replay", "{log}", "--max-range", "-1"), "-1"),
         (("replay", "{log}", "--odometry-noise", "1,2"), "--odometry-noise"),
         (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
-        (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
+        (
+            ("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"),
+            "--odometry-bias and --calibrate",
+        ),
         (("replay", "{log}", "--topics", "/odom"), "is not a ROS bag"),
-        (("replay", "{log}", "--noise", "20"), "--noise 20 m is more than the longest range of 3 m: is it in metres?"),
+        (
+            ("replay", "{log}", "--noise", "20"),
+            "--noise 20 m is more than the longest range of 3 m: is it in metres?",
+        ),
     ],
 )
 def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
@@ -168,28 +215,50 @@ def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_l
 @pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     tmp_path.chmod(0o500)
-    assert_refused(limslam("run", "--max-time", "1", "--out", tmp_path / "run"), "cannot be written")
+    assert_refused(
+        limslam("run", "--max-time", "1", "--out", tmp_path / "run"), "cannot be written"
+    )
 
 
 def test_replay_of_a_corridor_finds_its_walls_and_is_scored(carmen_log, tmp_path):
     relations = tmp_path / "known.relations"
     relations.write_text("100.0 107.0 3.5 0 0 0 0 0\n")
     result = limslam(
-        "replay", carmen_log, "--beams", "-90,-45,0,45,90", "--relations", relations, "--out", tmp_path / "out"
+        "replay",
+        carmen_log,
+        "--beams",
+        "-90,-45,0,45,90",
+        "--relations",
+        relations,
+        "--out",
+        tmp_path / "out",
     )
     assert result.returncode == 0, result.stderr
     files = {path.name for path in (tmp_path / "out").iterdir()}
-    assert {"trajectory_est.tum", "map.json", "map.png", "map.pgm", "map.yaml", "result.json"} <= files
+    assert {
+        "trajectory_est.tum",
+        "map.json",
+        "map.png",
+        "map.pgm",
+        "map.yaml",
+        "result.json",
+    } <= files
     table = np.loadtxt(tmp_path / "out" / "trajectory_est.tum")
-    np.testing.assert_allclose(table[:, 0], 100.0 + 0.1 * np.arange(80), atol=1e-6)  # the log's own times
+    np.testing.assert_allclose(
+        table[:, 0], 100.0 + 0.1 * np.arange(80), atol=1e-6
+    )  # the log's own times
     metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
     assert metrics["relation_error_m"] < 0.1
     assert metrics["raw_odometry_relation_error_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 def known_motions(path, seconds, metres):
-    """Relations of the corridor's robot, each over one second: what it truly drove, 0.5 m by its own account."""
-    path.write_text("".join(f"{100 + at} {101 + at} {metres} 0 0 0 0 0.01\n" for at in range(seconds)))
+    """Relations of the corridor's robot, each over one second: what it truly drove, 0.5 m by its
+    own account.
+    """
+    path.write_text(
+        "".join(f"{100 + at} {101 + at} {metres} 0 0 0 0 0.01\n" for at in range(seconds))
+    )
     return path
 
 
@@ -197,9 +266,15 @@ def test_the_bias_comes_from_known_motions(carmen_log, tmp_path):
     relations = known_motions(tmp_path / "known.relations", 7, 0.525)
     others = known_motions(tmp_path / "other.relations", 3, 0.525)
     result = limslam(
-        "replay", carmen_log, "--calibrate", relations, "--relations", others,
-        "--out", tmp_path / "out",
-    )  # fmt: skip
+        "replay",
+        carmen_log,
+        "--calibrate",
+        relations,
+        "--relations",
+        others,
+        "--out",
+        tmp_path / "out",
+    )
     assert result.returncode == 0, result.stderr
     assert "calibrated  1.146 +- " in result.stdout
     assert "scale 1.0500 +- " in result.stdout
@@ -216,15 +291,35 @@ def test_the_bias_comes_from_known_motions(carmen_log, tmp_path):
 def test_relations_of_another_log_are_refused(carmen_log, tmp_path, later, words):
     relations = known_motions(tmp_path / "known.relations", 7, 0.4)
     rows = [line.split() for line in relations.read_text().splitlines() if not line.startswith("#")]
-    moved = [" ".join([str(float(row[0]) + later), str(float(row[1]) + later), *row[2:]]) for row in rows]
+    moved = [
+        " ".join([str(float(row[0]) + later), str(float(row[1]) + later), *row[2:]]) for row in rows
+    ]
     relations.write_text("\n".join(moved) + "\n")
-    result = limslam("replay", carmen_log, "--beams", "-90,90", "--relations", relations, "--out", tmp_path / "no")
+    result = limslam(
+        "replay",
+        carmen_log,
+        "--beams",
+        "-90,90",
+        "--relations",
+        relations,
+        "--out",
+        tmp_path / "no",
+    )
     assert_refused(result, f"{words} relations lie in the log's time: are they of another log?")
 
 
 def test_a_calibration_leaves_something_to_score(carmen_log, tmp_path):
     relations = known_motions(tmp_path / "known.relations", 7, 0.525)
-    result = limslam("replay", carmen_log, "--calibrate", relations, "--relations", relations, "--out", tmp_path / "no")
+    result = limslam(
+        "replay",
+        carmen_log,
+        "--calibrate",
+        relations,
+        "--relations",
+        relations,
+        "--out",
+        tmp_path / "no",
+    )
     assert_refused(result, "relations that calibrate do not score")
     assert not (tmp_path / "no").exists()
 
@@ -237,7 +332,11 @@ def test_a_table_and_a_bag_are_replayed_like_any_log(tmp_path):
     messages = []
     for step, x in enumerate(places):
         at = 100 + 0.1 * step
-        messages += [odometry(at, x), odometry(at, 0.0, topic="/other"), scan(at, [2.0, np.inf, 2.0])]
+        messages += [
+            odometry(at, x),
+            odometry(at, 0.0, topic="/other"),
+            scan(at, [2.0, np.inf, 2.0]),
+        ]
     bag = write_bag(tmp_path, messages, "mcap", "corridor")
     for log, options in ((table, ()), (bag, ("--topics", "/odom"))):
         out = tmp_path / f"out-{log.suffix}"
@@ -258,7 +357,9 @@ def assert_refused(result, words):
 def test_importing_the_command_line_is_light():
     heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags', 'numpy', 'tomli_w'}"
     loaded = f"import sys, limslam_agent.__main__; print(sorted({heavy} & set(sys.modules)))"
-    result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-c", loaded], capture_output=True, text=True, check=True
+    )
     assert result.stdout.strip() == "[]"
 
 
@@ -266,7 +367,12 @@ def test_two_robots_write_a_trajectory_each_and_their_log_is_refused_with_the_re
     result = limslam("run", "--max-time", "4", "--robots", "2", "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     names = {path.name for path in (tmp_path / "run").iterdir()}
-    assert {"trajectory_true_0.tum", "trajectory_true_1.tum", "trajectory_est_0.tum", "trajectory_est_1.tum"} <= names
+    assert {
+        "trajectory_true_0.tum",
+        "trajectory_true_1.tum",
+        "trajectory_est_0.tum",
+        "trajectory_est_1.tum",
+    } <= names
     refused = limslam("replay", tmp_path / "run" / "log.npz", "--out", tmp_path / "replay")
     assert refused.returncode == 2
     assert "is the log of 2 robots" in refused.stderr
@@ -278,7 +384,9 @@ def test_a_run_can_be_filmed(tmp_path):
     result = limslam("run", "--max-time", "3", "--video", film, "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     assert film.stat().st_size > 10_000
-    refused = limslam("run", "--max-time", "3", "--video", tmp_path / "run.avi", "--out", tmp_path / "other")
+    refused = limslam(
+        "run", "--max-time", "3", "--video", tmp_path / "run.avi", "--out", tmp_path / "other"
+    )
     assert refused.returncode == 2
     assert ".mp4" in refused.stderr
     assert not (tmp_path / "other").exists()
@@ -296,10 +404,16 @@ def test_ctrl_c_says_that_the_command_was_stopped(monkeypatch):
 SCRIPT = Path(sys.executable).with_name("limslam")
 
 
-@pytest.mark.parametrize("command", [[SCRIPT], [sys.executable, "-m", "limslam_agent"]], ids=["script", "module"])
+@pytest.mark.parametrize(
+    "command", [[SCRIPT], [sys.executable, "-m", "limslam_agent"]], ids=["script", "module"]
+)
 def test_a_bad_argument_ends_the_command_with_2_and_one_line(command, tmp_path):
     result = subprocess.run(
-        [*command, "run", "--noise", "-1"], capture_output=True, text=True, check=False, cwd=tmp_path
+        [*command, "run", "--noise", "-1"],
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=tmp_path,
     )
     assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
     assert result.stderr.startswith("limslam: ")
@@ -314,7 +428,9 @@ def test_what_names_no_floor_plan_is_refused_in_a_short_line(name):
 
 
 def test_a_floor_plan_is_run_by_its_seed(tmp_path):
-    code, out, _ = limslam("run", "--world", "random:17", "--max-time", 1, "--out", tmp_path / "run")
+    code, out, _ = limslam(
+        "run", "--world", "random:17", "--max-time", 1, "--out", tmp_path / "run"
+    )
     assert code == 0
     assert "stopped" in out
     assert 'world = "random:17"' in (tmp_path / "run" / "run.toml").read_text()
@@ -322,7 +438,10 @@ def test_a_floor_plan_is_run_by_its_seed(tmp_path):
 
 def test_warming_up_says_what_it_does_and_ends_each_line(monkeypatch):
     done = []
-    steps = {name: (seconds, lambda name=name: done.append(name)) for name, (seconds, _) in warmup_module.STEPS.items()}
+    steps = {
+        name: (seconds, lambda name=name: done.append(name))
+        for name, (seconds, _) in warmup_module.STEPS.items()
+    }
     monkeypatch.setattr(warmup_module, "STEPS", steps)
     monkeypatch.setattr(warmup_module, "LAST", "no step")
     monkeypatch.setenv("LIMSLAM_QUIET", "")
@@ -352,14 +471,25 @@ def slow(x):
 """
 
 
-@pytest.mark.parametrize(("quiet", "first"), [("", "limslam: compiling 'slow', once, about 7 s\n"), ("1", "")])
+@pytest.mark.parametrize(
+    ("quiet", "first"), [("", "limslam: compiling 'slow', once, about 7 s\n"), ("1", "")]
+)
 def test_a_kernel_says_that_it_is_compiled_once_and_never_again(tmp_path, quiet, first):
     (tmp_path / "kernels.py").write_text(KERNELS)
     (tmp_path / "slow.py").write_text(SLOW)
     paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    environment = {**os.environ, "LIMSLAM_QUIET": quiet, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": paths}
+    environment = {
+        **os.environ,
+        "LIMSLAM_QUIET": quiet,
+        "NUMBA_CACHE_DIR": str(tmp_path / "kept"),
+        "PYTHONPATH": paths,
+    }
     for expected in (first, ""):
         result = subprocess.run(
-            [sys.executable, str(tmp_path / "slow.py")], env=environment, capture_output=True, text=True, check=True
+            [sys.executable, str(tmp_path / "slow.py")],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         assert (result.stdout, result.stderr) == ("2 3\n", expected)

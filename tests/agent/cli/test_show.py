@@ -1,4 +1,6 @@
-"""``limslam show`` and ``limslam compare``: finished runs are read back, told in words and drawn."""
+"""``limslam show`` and ``limslam compare``: finished runs are read back, told in words and
+drawn.
+"""
 
 import json
 import shutil
@@ -22,7 +24,9 @@ def picture_in(path):
 
 @pytest.fixture(scope="module")
 def real_run(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("run") / "short", "--noise", 0.02, "--max-time", 4, "--seed", 300)
+    return run(
+        tmp_path_factory.mktemp("run") / "short", "--noise", 0.02, "--max-time", 4, "--seed", 300
+    )
 
 
 def test_a_real_run_is_told_and_drawn_with_the_walls_of_its_world(real_run, tmp_path):
@@ -32,7 +36,8 @@ def test_a_real_run_is_told_and_drawn_with_the_walls_of_its_world(real_run, tmp_
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["show.png"]
     drawn = picture_in(tmp_path / "deep" / "show.png")
     assert drawn.shape == (1020, 1800, 3)
-    # The world of a run is known by its content. In a changed one there would be other walls, so none are drawn.
+    # The world of a run is known by its content. In a changed one there would be other walls, so
+    # none are drawn.
     shutil.copytree(real_run.path, tmp_path / "changed")
     result = real_run.result
     result["config"]["world_digest"] = "another"
@@ -63,7 +68,11 @@ def test_without_a_display_it_says_where_the_picture_is(tmp_path):
 def test_replays_and_several_robots_are_drawn(tmp_path, config, robots, truth, has_odometry):
     folder = write_run(tmp_path / "run", robots=robots, truth=truth, config=config)
     if has_odometry:
-        write_poses(folder / "trajectory_odometry.tum", Folder(folder).time, Folder(folder).poses("est") + 0.2)
+        write_poses(
+            folder / "trajectory_odometry.tum",
+            Folder(folder).time,
+            Folder(folder).poses("est") + 0.2,
+        )
     told("show", folder, "--out", tmp_path / "show.png")
     assert picture_in(tmp_path / "show.png").shape == (1020, 1800, 3)
 
@@ -126,7 +135,9 @@ def test_numbers_of_another_version_do_no_harm(tmp_path):
 def test_a_folder_with_the_map_of_a_live_robot_names_its_picture(tmp_path):
     save_map(tmp_path / "room", Mapper(RobotSpec()).snapshot())
     said = refused("show", tmp_path / "room")
-    assert said.endswith("there is no result.json; it holds the map of a live robot, which is drawn in map.png")
+    assert said.endswith(
+        "there is no result.json; it holds the map of a live robot, which is drawn in map.png"
+    )
 
 
 def test_metrics_stand_side_by_side_under_what_differs(tmp_path):

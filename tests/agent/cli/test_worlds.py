@@ -1,4 +1,6 @@
-"""``limslam worlds`` and ``limslam play``: tables, checks, conversions, and refusals in one line."""
+"""``limslam worlds`` and ``limslam play``: tables, checks, conversions, and refusals in one
+line.
+"""
 
 import sys
 
@@ -37,7 +39,17 @@ def test_the_list_names_every_shipped_world_and_its_id():
     assert (code, error) == (0, "")
     heading, *rows = out.splitlines()
     assert [row.split()[0] for row in rows] == SHIPPED_WORLDS
-    assert heading.split() == ["name", "size,", "m", "walls", "obstacles", "doors", "starts", "loop", "id"]
+    assert heading.split() == [
+        "name",
+        "size,",
+        "m",
+        "walls",
+        "obstacles",
+        "doors",
+        "starts",
+        "loop",
+        "id",
+    ]
     env1 = next(row for row in rows if row.startswith("env1 "))
     assert env1.split() == ["env1", "7", "x", "7", "12", "1", "0", "2", "yes", "LimSlam-Env1-v0"]
     square = next(row for row in rows if row.startswith("square "))
@@ -56,7 +68,9 @@ def test_a_good_file_is_summed_up_in_a_line(good):
 def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(tmp_path):
     path = tmp_path / "hall.toml"
     walls = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]"
-    path.write_text(f'name = "hall"\nsize = [6.0, 4.0]\nwalls = {walls}\nstarts = [[1.0, 1.0, 0.0]]\n')
+    path.write_text(
+        f'name = "hall"\nsize = [6.0, 4.0]\nwalls = {walls}\nstarts = [[1.0, 1.0, 0.0]]\n'
+    )
     code, _, error = limslam("worlds", "check", path)
     assert code == 2
     assert f"{path}: world 'hall': starts[0] lies in a region that is not closed" in error

@@ -15,10 +15,25 @@ import pytest
 from support.command_line import limslam
 
 from limslam_agent import preset
-from limslam_agent.cli.settings import Given, ReplayOptions, RunOptions, robot_named, run_config, run_options
+from limslam_agent.cli.settings import (
+    Given,
+    ReplayOptions,
+    RunOptions,
+    robot_named,
+    run_config,
+    run_options,
+)
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.config.presets import ABLATIONS, NO_GATE, PRESETS, GridConfig, PolicyConfig, PublishedConfig, ablated
+from limslam_agent.config.presets import (
+    ABLATIONS,
+    NO_GATE,
+    PRESETS,
+    GridConfig,
+    PolicyConfig,
+    PublishedConfig,
+    ablated,
+)
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
 from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
@@ -41,7 +56,9 @@ def groups(settings):
 
 def numbers(group):
     """The names of the plain numbers of a dataclass."""
-    return [field.name for field in fields(group) if type(getattr(group, field.name)) in {int, float}]
+    return [
+        field.name for field in fields(group) if type(getattr(group, field.name)) in {int, float}
+    ]
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -52,7 +69,10 @@ def test_a_preset_chooses_the_estimator_by_the_type_of_its_settings(name):
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():
-    with pytest.raises(ValueError, match="no preset is called 'magic'; there are consistent, paper, odometry, graph"):
+    with pytest.raises(
+        ValueError,
+        match="no preset is called 'magic'; there are consistent, paper, odometry, graph",
+    ):
         preset("magic")
 
 
@@ -84,7 +104,12 @@ def test_an_ablation_changes_one_setting(ablation):
         for name in (field.name for field in fields(old))
         if not is_dataclass(getattr(old, name)) and getattr(old, name) != getattr(new, name)
     ]
-    assert changed in ([("correct", False)], [("enabled", False)], [("max_end_gap", NO_GATE)], [("only_best", True)])
+    assert changed in (
+        [("correct", False)],
+        [("enabled", False)],
+        [("max_end_gap", NO_GATE)],
+        [("only_best", True)],
+    )
 
 
 def round_trip(settings, start, path):
@@ -94,8 +119,14 @@ def round_trip(settings, start, path):
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_settings_come_back_from_a_file_as_they_were(name, tmp_path):
-    config = replace(preset(name, NominalNoise(1 / 3)), grid=GridConfig(cell=0.1 + 0.2), policy=PolicyConfig(speed=0.1))
-    config = replace(config, estimator=replace(config.estimator, hough=HoughConfig(r_step=math.pi / 100)))
+    config = replace(
+        preset(name, NominalNoise(1 / 3)),
+        grid=GridConfig(cell=0.1 + 0.2),
+        policy=PolicyConfig(speed=0.1),
+    )
+    config = replace(
+        config, estimator=replace(config.estimator, hough=HoughConfig(r_step=math.pi / 100))
+    )
     assert round_trip(config, preset(name), tmp_path / "agent.toml") == config
 
 
@@ -144,7 +175,10 @@ def assert_same(first, second, names=SAME):
 
 @pytest.mark.parametrize(
     "options",
-    [("--noise", "0.02", "--seed", "3"), ("--preset", "paper", "--ablation", "no-end-gate", "--policy", "random")],
+    [
+        ("--noise", "0.02", "--seed", "3"),
+        ("--preset", "paper", "--ablation", "no-end-gate", "--policy", "random"),
+    ],
 )
 def test_the_file_of_a_run_repeats_it_to_the_bit(options, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
@@ -152,19 +186,29 @@ def test_the_file_of_a_run_repeats_it_to_the_bit(options, tmp_path):
     assert limslam("run", "--config", first / "run.toml", "--out", second).returncode == 0
     assert_same(first, second)
     one, other = (json.loads((folder / "result.json").read_text()) for folder in (first, second))
-    assert (one["metrics"], one["config"], one["seed"]) == (other["metrics"], other["config"], other["seed"])
+    assert (one["metrics"], one["config"], one["seed"]) == (
+        other["metrics"],
+        other["config"],
+        other["seed"],
+    )
 
 
 def test_a_run_with_settings_of_every_kind_is_repeated_by_its_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(
-        "robots = 2\nmax_time = 5\nnoise = 0.01\n[robot]\nmax_wheel_speed = 0.2\n[true_noise]\nwheel_mismatch = 0.01\n"
-        "[agent.noise]\nrange_std = 0.03\n[agent.policy]\nspeed = 0.1\n[agent.estimator.pending]\nbatch = 20\n"
+        "robots = 2\nmax_time = 5\nnoise = 0.01\n[robot]\nmax_wheel_speed = "
+        "0.2\n[true_noise]\nwheel_mismatch = 0.01\n"
+        "[agent.noise]\nrange_std = 0.03\n[agent.policy]\nspeed = "
+        "0.1\n[agent.estimator.pending]\nbatch = 20\n"
     )
     first, second = tmp_path / "first", tmp_path / "second"
     assert limslam("run", "--config", path, "--out", first).returncode == 0
     assert limslam("run", "--config", first / "run.toml", "--out", second).returncode == 0
-    assert_same(first, second, SAME - {"trajectory_est.tum"} | {"trajectory_est_0.tum", "trajectory_est_1.tum"})
+    assert_same(
+        first,
+        second,
+        SAME - {"trajectory_est.tum"} | {"trajectory_est_0.tum", "trajectory_est_1.tum"},
+    )
     written = tomllib.loads((first / "run.toml").read_text())
     assert written["agent"]["estimator"]["pending"]["batch"] == 20
     assert written["agent"]["noise"]["range_std"] == 0.03
@@ -177,7 +221,12 @@ def test_a_run_in_a_world_of_a_file_can_be_handed_on_and_repeated(tmp_path):
     path.parent.mkdir()
     path.write_text(world_toml(load_world("square")), encoding="utf-8")
     first, second = tmp_path / "first", tmp_path / "second"
-    assert limslam("run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first).returncode == 0
+    assert (
+        limslam(
+            "run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first
+        ).returncode
+        == 0
+    )
     assert tomllib.loads((first / "run.toml").read_text())["world"] == "world.toml"
     path.unlink()
     moved = first.rename(tmp_path / "moved")
@@ -189,8 +238,18 @@ def wheel_table(folder):
     """A log of a drive along two walls, by ticks of 1 mm, and the file of its robot."""
     rows = [f"{100 * step},{25 * step},{25 * step},800,8190" for step in range(120)]
     (folder / "wheels.csv").write_text("\n".join(["t,left,right,r_-90,r_90", *rows]) + "\n")
-    (folder / "robot.toml").write_text("radius = 0.06\naxle = 0.115\nbeams_deg = [90, -90]\nmax_range = 2.0\n")
-    units = ("--metres-per-tick", "0.001", "--accumulated", "--range-unit", "mm", "--time-unit", "ms")
+    (folder / "robot.toml").write_text(
+        "radius = 0.06\naxle = 0.115\nbeams_deg = [90, -90]\nmax_range = 2.0\n"
+    )
+    units = (
+        "--metres-per-tick",
+        "0.001",
+        "--accumulated",
+        "--range-unit",
+        "mm",
+        "--time-unit",
+        "ms",
+    )
     return folder / "wheels.csv", folder / "robot.toml", units
 
 
@@ -212,10 +271,16 @@ def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
     [
         ("axle = -1.0", "--robot: robot.toml: a robot's axle must be positive, not -1"),
         ("axel = 0.1", "--robot: robot.toml: axel: there is no such setting"),
-        ("beams_deg = [0]\nbeams = [{x = 0.0, y = 0.0, angle = 0.0}]", "beams and beams_deg both describe the beams"),
+        (
+            "beams_deg = [0]\nbeams = [{x = 0.0, y = 0.0, angle = 0.0}]",
+            "beams and beams_deg both describe the beams",
+        ),
         ("radius = 0.08\nbeams_deg = [90, -90]", "--robot: robot.toml: axle is missing"),
         ("beams = [{x = 0.1, y = 0.0}]", "robot.toml: beams[0].angle: is missing"),
-        ("beams = [{x = 0.1, y = 0.0, angle = 0, side = 'up'}]", "robot.toml: beams[0].side: must be one of left"),
+        (
+            "beams = [{x = 0.1, y = 0.0, angle = 0, side = 'up'}]",
+            "robot.toml: beams[0].side: must be one of left",
+        ),
     ],
 )
 def test_a_robots_file_that_cannot_be_used_is_refused(tmp_path, monkeypatch, robot, words):
@@ -235,14 +300,18 @@ def test_a_file_sets_options_and_options_win_over_it(tmp_path):
 
 def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
     text = "noise = 0.01\n[agent.noise]\nrange_std = 0.03\nwheel_variance = 1e-4\n"
-    by_file, by_option = (config_of(given(tmp_path, text, **options)) for options in ({}, {"noise": 0.04}))
+    by_file, by_option = (
+        config_of(given(tmp_path, text, **options)) for options in ({}, {"noise": 0.04})
+    )
     assert (by_file.noise, by_file.agent.noise.range_std) == (0.01, 0.03)
     assert (by_option.noise, by_option.agent.noise.range_std) == (0.04, 0.04)
     assert by_option.agent.noise.wheel_variance == 1e-4
 
 
 def test_paths_of_a_file_are_relative_to_it(tmp_path):
-    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(ReplayOptions(), ("agent",))
+    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(
+        ReplayOptions(), ("agent",)
+    )
     assert (options.log, str(options.relations)) == (tmp_path / "logs" / "a.clf", "/known")
     assert run_options(given(tmp_path, 'world = "mine.yaml"')).world == str(tmp_path / "mine.yaml")
     assert run_options(given(tmp_path, 'world = "env2"')).world == "env2"
@@ -254,18 +323,33 @@ def test_paths_of_a_file_are_relative_to_it(tmp_path):
     [
         ("warp = 9", "mine.toml: warp: there is no such setting; there are world, noise"),
         ('seed = "many"', "mine.toml: seed: must be a whole number, not 'many'"),
-        ('[agent.policy]\nuntil = "seen"', "mine.toml: agent.policy.until: is set as until, outside of all tables"),
+        (
+            '[agent.policy]\nuntil = "seen"',
+            "mine.toml: agent.policy.until: is set as until, outside of all tables",
+        ),
         ('policy = "magic"', "mine.toml: policy: no policy is called 'magic'"),
-        ("[agent.estimator.buffer]\nsize = 3", "mine.toml: agent.estimator.buffer: there is no such setting"),
-        ("[true_noise]\nsensor_noise = 0.1", "mine.toml: true_noise.sensor_noise: there is no such setting"),
+        (
+            "[agent.estimator.buffer]\nsize = 3",
+            "mine.toml: agent.estimator.buffer: there is no such setting",
+        ),
+        (
+            "[true_noise]\nsensor_noise = 0.1",
+            "mine.toml: true_noise.sensor_noise: there is no such setting",
+        ),
         ("seed = ", "mine.toml: is not TOML"),
         ("[agent]\nspeed = 1", "mine.toml: agent.speed: there is no such setting; there are "),
         ("[agent]\ngrid = 3", "mine.toml: agent.grid: must be a table, not 3"),
         ("[agent.grid]\ncell = 'big'", "mine.toml: agent.grid.cell: must be a number, not 'big'"),
         ("[agent.grid]\ncell = nan", "mine.toml: agent.grid: cell must be a number from"),
         ("[agent.grid]\nhit = 1.5", "mine.toml: agent.grid.hit: must be a whole number, not 1.5"),
-        ("[agent.estimator.merging]\nenabled = 1", "mine.toml: agent.estimator.merging.enabled: must be true or false"),
-        ("[agent.estimator.pending]\nbatch = 0", "agent.estimator.pending: batch must be a number from 1 to"),
+        (
+            "[agent.estimator.merging]\nenabled = 1",
+            "mine.toml: agent.estimator.merging.enabled: must be true or false",
+        ),
+        (
+            "[agent.estimator.pending]\nbatch = 0",
+            "agent.estimator.pending: batch must be a number from 1 to",
+        ),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_by_file_and_key(text, words, tmp_path):
@@ -293,9 +377,16 @@ def test_linear_algebra_has_one_thread_unless_the_user_says_otherwise():
         f"print(*(os.environ[name] for name in {names}))\n"
     )
     bare = {name: value for name, value in os.environ.items() if name not in names}
-    for environment, words in ((bare, ["1", "1", "1"]), ({**bare, "OMP_NUM_THREADS": "2"}, ["1", "2", "1"])):
+    for environment, words in (
+        (bare, ["1", "1", "1"]),
+        ({**bare, "OMP_NUM_THREADS": "2"}, ["1", "2", "1"]),
+    ):
         result = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+            [sys.executable, "-c", code],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=environment,
         )
         assert result.stdout.split()[2:] == words
 
@@ -322,19 +413,29 @@ def test_odometry_noise_is_true_and_assumed(tmp_path):
 
 
 def test_sharp_sensors_leave_the_wheels_as_they_are(tmp_path):
-    told = config_of(given(tmp_path, "[true_noise]\nslip_rate = 0.2\ndropout = 0.1\n", sharp=True)).true_noise
+    told = config_of(
+        given(tmp_path, "[true_noise]\nslip_rate = 0.2\ndropout = 0.1\n", sharp=True)
+    ).true_noise
     assert told == NoiseConfig.sharp(slip_rate=0.2)
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"robot": "magic"}, "--robot: no robot is called 'magic'; there are paper, e-puck, four-beam-drone, ring"),
-        ({"wheel_mismatch": 3.0}, "--wheel-mismatch: wheel_mismatch must be a number from -0.5 to 0.5"),
+        (
+            {"robot": "magic"},
+            "--robot: no robot is called 'magic'; there are paper, e-puck, four-beam-drone, ring",
+        ),
+        (
+            {"wheel_mismatch": 3.0},
+            "--wheel-mismatch: wheel_mismatch must be a number from -0.5 to 0.5",
+        ),
         ({"odometry_noise": math.nan}, "--odometry-noise must be a number from 0 to 1, not nan"),
     ],
 )
-def test_an_option_of_the_simulated_robot_that_cannot_be_is_refused_by_its_name(options, words, tmp_path):
+def test_an_option_of_the_simulated_robot_that_cannot_be_is_refused_by_its_name(
+    options, words, tmp_path
+):
     with pytest.raises(ValueError, match=r".") as error:
         config_of(given(tmp_path, **options))
     assert str(error.value).startswith(words)

@@ -1,4 +1,6 @@
-"""The occupancy grid, its frontiers and borders without a wall, and the ways over its free ground."""
+"""The occupancy grid, its frontiers and borders without a wall, and the ways over its free
+ground.
+"""
 
 import heapq
 import math
@@ -12,11 +14,18 @@ from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.grid.planner import routes, wall_distance
-from limslam_agent.grid.unfinished import Faces, border_faces, in_long_stretches, reachable_ground, unfinished_faces
+from limslam_agent.grid.unfinished import (
+    Faces,
+    border_faces,
+    in_long_stretches,
+    reachable_ground,
+    unfinished_faces,
+)
 from limslam_env import RobotSpec, SensorSpec
 from limslam_env.geometry import BoolArray, FloatArray
 
-# One beam straight ahead from the middle of the body, so that what it crosses can be counted by hand.
+# One beam straight ahead from the middle of the body, so that what it crosses can be counted by
+# hand.
 ONE = RobotSpec(radius=0.05, beams=(SensorSpec(0.0, 0.0, 0.0, 0.05, 1.5),))
 YES, NO = np.array([True]), np.array([False])
 CONFIG = GridConfig(cell=0.1, seen_through=1, hit=4, limit=20)
@@ -41,7 +50,8 @@ def known(grid: OccupancyGrid) -> dict[tuple[int, int], int]:
     cells = np.argwhere(~view.unknown)
     places = np.floor(view.centres(cells) / view.cell).astype(int)
     return {
-        (int(x), int(y)): int(view.values[row, column]) for (x, y), (row, column) in zip(places, cells, strict=True)
+        (int(x), int(y)): int(view.values[row, column])
+        for (x, y), (row, column) in zip(places, cells, strict=True)
     }
 
 
@@ -69,7 +79,11 @@ def test_a_map_without_bounds_is_refused(far: tuple[int, int]) -> None:
 
 def test_cells_and_centres_are_inverse_and_tell_rows_from_columns() -> None:
     view = GridView(np.array([-1.0, 2.0]), 0.5, np.zeros((4, 6), dtype=np.int16))
-    assert view.cells(np.array([[-1.0, 2.0], [0.6, 2.1], [-1.1, 3.9]])).tolist() == [[0, 0], [0, 3], [3, -1]]
+    assert view.cells(np.array([[-1.0, 2.0], [0.6, 2.1], [-1.1, 3.9]])).tolist() == [
+        [0, 0],
+        [0, 3],
+        [3, -1],
+    ]
     cells = np.argwhere(view.unknown)
     assert len(cells) == 24
     np.testing.assert_array_equal(view.cells(view.centres(cells)), cells)
@@ -85,7 +99,9 @@ NO_COMFORT = 1e-9
 def grid_of(*rows: str) -> GridView:
     """A grid drawn with . for free, # for occupied and ? for unknown; the first row is row 0."""
     meaning = {".": 2, "#": -4, "?": 0}
-    return GridView(LOW, CELL, np.array([[meaning[cell] for cell in row] for row in rows], dtype=np.int16))
+    return GridView(
+        LOW, CELL, np.array([[meaning[cell] for cell in row] for row in rows], dtype=np.int16)
+    )
 
 
 def drawn(mask: BoolArray) -> list[str]:
@@ -119,17 +135,22 @@ def test_frontiers_are_groups_of_free_cells_beside_unknown_ones() -> None:
 
 
 def plain_distances(grid: GridView) -> FloatArray:
-    """Distance (m) of each cell's centre from the nearest edge of an occupied cell, straight on, by trying all."""
+    """Distance (m) of each cell's centre from the nearest edge of an occupied cell, straight on, by
+    trying all.
+    """
     occupied = np.argwhere(grid.occupied)
     distances = np.full(grid.values.shape, math.inf)
     for row, column in np.ndindex(*grid.values.shape):
         if len(occupied):
-            distances[row, column] = CELL * np.hypot(*(occupied - (row, column)).T).min() - 0.5 * CELL
+            distances[row, column] = (
+                CELL * np.hypot(*(occupied - (row, column)).T).min() - 0.5 * CELL
+            )
     return distances
 
 
 def plain_dijkstra(grid: GridView, start: tuple[int, int], radius: float) -> FloatArray:
-    """Costs (m) over free cells; a cell within the radius of an occupied one costs 22 m more a metre.
+    """Costs (m) over free cells; a cell within the radius of an occupied one costs 22 m more a
+    metre.
 
     Of these, 20 are for the tightness, and two for all the comfort that it lacks.
     """
@@ -153,8 +174,14 @@ def plain_dijkstra(grid: GridView, start: tuple[int, int], radius: float) -> Flo
             for right in (-1, 0, 1):
                 row, column = cell[0] + down, cell[1] + right
                 inside = (down or right) and 0 <= row < rows and 0 <= column < columns
-                # A diagonal step needs both cells beside it; for a straight one these are the step's own ends.
-                if inside and passable(row, column) and passable(cell[0], column) and passable(row, cell[1]):
+                # A diagonal step needs both cells beside it; for a straight one these are the
+                # step's own ends.
+                if (
+                    inside
+                    and passable(row, column)
+                    and passable(cell[0], column)
+                    and passable(row, cell[1])
+                ):
                     step = CELL * math.hypot(down, right) * 0.5 * (toll(*cell) + toll(row, column))
                     heapq.heappush(queue, (so_far + step, (row, column)))
     return cost
@@ -189,7 +216,11 @@ def test_paths_lead_cell_by_cell_over_free_ground_and_cut_no_corners(seed: int) 
         path = ways.path_to((cell[0], cell[1]))
         assert path[0].tolist() == list(start)
         assert path[-1].tolist() == cell
-        assert (np.abs(np.diff(path, axis=0)).max(axis=1) == 1).all() if len(path) > 1 else cell == list(start)
+        assert (
+            (np.abs(np.diff(path, axis=0)).max(axis=1) == 1).all()
+            if len(path) > 1
+            else cell == list(start)
+        )
         assert grid.free[path[:, 0], path[:, 1]].all()
         # The two cells that a diagonal step passes between are free as well.
         assert grid.free[path[1:, 0], path[:-1, 1]].all()
@@ -225,8 +256,12 @@ def test_a_search_for_targets_finds_the_cheapest_at_its_cost(seed: int) -> None:
     everywhere = routes(grid, place(*start), 0.07, 0.1)
     targets = np.random.default_rng(seed).random(grid.values.shape) < 0.1
     found = routes(grid, place(*start), 0.07, 0.1, targets=targets)
-    assert np.where(targets, found.cost, np.inf).min() == np.where(targets, everywhere.cost, np.inf).min()
-    # What it reached at all, it reached at its least cost; when it found no target it went everywhere.
+    assert (
+        np.where(targets, found.cost, np.inf).min()
+        == np.where(targets, everywhere.cost, np.inf).min()
+    )
+    # What it reached at all, it reached at its least cost; when it found no target it went
+    # everywhere.
     reached = np.isfinite(found.cost)
     np.testing.assert_array_equal(found.cost[reached], everywhere.cost[reached])
     if not np.isfinite(everywhere.cost[targets]).any():
@@ -260,7 +295,9 @@ def test_closed_cells_are_driven_round_though_they_are_free() -> None:
     closed[:, 4] = True
     assert np.isinf(routes(grid, place(0, 0), 0.1, 0.1, closed=closed).cost[:, 5:]).all()
     # Its own cell never is.
-    assert np.isfinite(routes(grid, place(0, 4), 0.1, 0.1, closed=closed).cost).all(axis=0)[5:].all()
+    assert (
+        np.isfinite(routes(grid, place(0, 4), 0.1, 0.1, closed=closed).cost).all(axis=0)[5:].all()
+    )
 
 
 @settings(deadline=None, max_examples=40)
@@ -293,7 +330,9 @@ def test_the_faces_of_a_room_lie_on_its_border_and_look_inside() -> None:
     faces = border_faces(room(12, 8), room(12, 8).free)
     assert len(faces) == 2 * (12 + 8)
     x, y = faces.middles.T
-    assert ((np.isclose(x, 0.0) | np.isclose(x, 1.2)) | (np.isclose(y, 0.0) | np.isclose(y, 0.8))).all()
+    assert (
+        (np.isclose(x, 0.0) | np.isclose(x, 1.2)) | (np.isclose(y, 0.0) | np.isclose(y, 0.8))
+    ).all()
     assert (np.sum(faces.normals * (np.array([0.6, 0.4]) - faces.middles), axis=1) > 0.0).all()
     np.testing.assert_allclose(np.hypot(*faces.normals.T), 1.0)
 
@@ -322,7 +361,9 @@ def test_a_missing_part_of_a_wall_is_found(side, start, length, error) -> None:
     cut, others = walls[side], np.delete(walls, side, axis=0)
     along = (cut[2:] - cut[:2]) / 3.0
     low, high = cut[:2] + start * along, cut[:2] + (start + length) * along
-    found = unfinished(room(columns, rows), np.vstack((others, [*cut[:2], *low], [*high, *cut[2:]])))
+    found = unfinished(
+        room(columns, rows), np.vstack((others, [*cut[:2], *low], [*high, *cut[2:]]))
+    )
     assert len(found) * CELL >= length - 0.25
     places = (found.middles - cut[:2]) @ along
     assert (places > start - 1e-9).all()
@@ -336,9 +377,13 @@ def test_a_stretch_shorter_than_asked_is_left_out() -> None:
     grid = room(20, 20)
     assert len(unfinished(grid, walls, 0.15)) == 2
     assert not len(unfinished(grid, walls, 0.25))
-    faces = Faces(np.array([[x, 0.0] for x in (0.05, 0.15, 0.35, 0.45)]), np.tile([0.0, 1.0], (4, 1)))
+    faces = Faces(
+        np.array([[x, 0.0] for x in (0.05, 0.15, 0.35, 0.45)]), np.tile([0.0, 1.0], (4, 1))
+    )
     assert in_long_stretches(faces, 0.2, CELL).all()
-    assert not in_long_stretches(faces, 0.25, CELL).any(), "a face that is missing separates two stretches"
+    assert not in_long_stretches(faces, 0.25, CELL).any(), (
+        "a face that is missing separates two stretches"
+    )
 
 
 def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:

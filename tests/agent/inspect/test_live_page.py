@@ -1,4 +1,6 @@
-"""The page of a run that goes on: what the server answers, and that the page follows the newest moment."""
+"""The page of a run that goes on: what the server answers, and that the page follows the newest
+moment.
+"""
 
 import http.client
 
@@ -26,7 +28,9 @@ class Drive:
 
     def __init__(self, page, steps=200):
         self.log = laps_of_square(0.02, laps=0.5)
-        self.mapper = Mapper(FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), self.log.poses[0])
+        self.mapper = Mapper(
+            FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), self.log.poses[0]
+        )
         self.follower, self.done, self.steps = Follower(page, steps), 0, steps
 
     def on(self, steps):
@@ -43,7 +47,11 @@ def asked(page, path, host=None):
     answer = connection.getresponse()
     status, content, is_over = answer.status, answer.read(), answer.headers.get("X-Over") == "1"
     connection.close()
-    return (status, content.decode(), is_over) if path.startswith("/recording") else (status, content.decode())
+    return (
+        (status, content.decode(), is_over)
+        if path.startswith("/recording")
+        else (status, content.decode())
+    )
 
 
 def test_the_server_answers_its_own_page_alone():
@@ -85,7 +93,9 @@ def test_a_run_is_not_changed_by_watching_it(tmp_path, run_folder):
 
 
 def test_the_address_is_printed(tmp_path):
-    done = limslam("run", *SHORT, "--max-time", 3, "--robots", 2, "--watch", "--out", tmp_path / "run")
+    done = limslam(
+        "run", *SHORT, "--max-time", 3, "--robots", 2, "--watch", "--out", tmp_path / "run"
+    )
     assert done.returncode == 0
     assert "watch       http://127.0.0.1:" in done.stderr
 

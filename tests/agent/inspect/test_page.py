@@ -1,4 +1,6 @@
-"""The page in a headless Chromium: every control does what it says, nothing is asked from a network, no errors."""
+"""The page in a headless Chromium: every control does what it says, nothing is asked from a
+network, no errors.
+"""
 
 import json
 
@@ -38,7 +40,10 @@ def test_the_page_begins_at_the_start_and_shows_both_pictures(opened):
     assert opened.run(FRAME) == 0
     for name in ("truth", "belief"):
         canvas = f"document.getElementById('{name}')"
-        pixels = f"{canvas}.getContext('2d').getImageData(0, 0, {canvas}.width, {canvas}.height).data.buffer"
+        pixels = (
+            f"{canvas}.getContext('2d').getImageData(0, 0, {canvas}.width, "
+            f"{canvas}.height).data.buffer"
+        )
         colours = opened.run(f"new Set(new Uint32Array({pixels})).size")
         assert colours > 20, name
     assert opened.run("document.querySelectorAll('#plots .uplot').length") == 4
@@ -48,12 +53,16 @@ def test_the_page_begins_at_the_start_and_shows_both_pictures(opened):
 @pytest.mark.parametrize(
     ("key", "shift", "expected"),
     [
-        ("ArrowRight", False, "51"), ("ArrowLeft", False, "49"), ("ArrowRight", True, "60"), ("ArrowLeft", True, "40"),
-        ("Home", False, "0"), ("End", False, "player.recording.frames - 1"),
+        ("ArrowRight", False, "51"),
+        ("ArrowLeft", False, "49"),
+        ("ArrowRight", True, "60"),
+        ("ArrowLeft", True, "40"),
+        ("Home", False, "0"),
+        ("End", False, "player.recording.frames - 1"),
         ("PageDown", False, "player.recording.frameAt(player.list.beside(50, 1).t + 1e-3)"),
         ("PageUp", False, "player.recording.frameAt(player.list.beside(50, -1).t + 1e-3)"),
     ],
-)  # fmt: skip
+)
 def test_keys_step(opened, key, shift, expected):
     opened.run("player.stopAt(50)")
     expected = opened.run(expected)
@@ -62,8 +71,12 @@ def test_keys_step(opened, key, shift, expected):
 
 
 def test_the_panels_tell_the_moment(opened):
-    opened.run("document.querySelectorAll('.panels details').forEach((panel) => { panel.open = true; })")
-    event = opened.run("player.recording.events.find(({kind, tests}) => kind === 'again' && tests.length > 1)")
+    opened.run(
+        "document.querySelectorAll('.panels details').forEach((panel) => { panel.open = true; })"
+    )
+    event = opened.run(
+        "player.recording.events.find(({kind, tests}) => kind === 'again' && tests.length > 1)"
+    )
     opened.run(f"player.seek({event['t']} + 1e-3)")
     opened.wait_for("document.querySelector('#readings table') !== null")
     latest = opened.run("player.recording.latest(player.frame, ({kind}) => DECISIONS.has(kind))")
@@ -77,12 +90,15 @@ def test_the_panels_tell_the_moment(opened):
 
 def test_the_votes_are_those_of_the_films(opened, page):
     _, meta = unpacked(data_in(page))
-    event = next(event for event in meta["events"] if event["kind"] == "hough" and len(event["points"]) > 40)
+    event = next(
+        event for event in meta["events"] if event["kind"] == "hough" and len(event["points"]) > 40
+    )
     points = np.array(event["points"]).reshape(-1, 2) / 1000.0
     expected, reach = hough_image(points - points.mean(axis=0), max(event["r_step"], 0.02))
     told = {"points": event["points"], "r_step": event["r_step"]}
     found = opened.run(
-        f"(() => {{ const v = votesOf({json.dumps(told)}); return [[...v.votes], v.rows, v.reach]; }})()"
+        f"(() => {{ const v = votesOf({json.dumps(told)}); return [[...v.votes], v.rows, "
+        "v.reach]; })()"
     )
     assert found[2] == pytest.approx(reach)
     votes = np.array(found[0]).reshape(found[1], -1)
@@ -99,13 +115,18 @@ def test_grids_and_errors_are_restored(opened, page):
         cells.update({(row, place): kind for place in range(column, column + length)})
     opened.run("player.stopAt(player.recording.frames - 1); player.stopAt(150)")
     found = opened.run(
-        "(() => { const g = player.recording.gridOf(150); return [g.row, g.column, g.columns, [...g.kinds]]; })()"
+        "(() => { const g = player.recording.gridOf(150); return [g.row, g.column, g.columns, "
+        "[...g.kinds]]; })()"
     )
     low, left, columns, kinds = found
-    shown = {(low + at // columns, left + at % columns): kind for at, kind in enumerate(kinds) if kind}
+    shown = {
+        (low + at // columns, left + at % columns): kind for at, kind in enumerate(kinds) if kind
+    }
     assert shown == {place: kind for place, kind in cells.items() if kind}
     off = arrays["pose"][frame, 0, :2] - arrays["true"][frame, 0, :2]
-    assert opened.run("player.recording.errors(150, 0).position_error") == pytest.approx(np.hypot(*off), rel=1e-5)
+    assert opened.run("player.recording.errors(150, 0).position_error") == pytest.approx(
+        np.hypot(*off), rel=1e-5
+    )
 
 
 def test_the_page_of_a_log_shows_the_belief_alone(chromium, tmp_path, run_folder):

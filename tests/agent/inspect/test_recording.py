@@ -1,4 +1,6 @@
-"""What the page holds: the same poses as the run, every association with the landmarks it was compared with."""
+"""What the page holds: the same poses as the run, every association with the landmarks it was
+compared with.
+"""
 
 import shutil
 
@@ -61,7 +63,9 @@ def test_each_reading_belongs_to_the_wall_that_it_was_given_to(recording):
     walls = {event["wall"] for event in meta["events"] if event["kind"] in {"new", "again"}}
     assert set(np.unique(arrays["owner"])) - {0} <= walls
     owned = arrays["owner"] > 0
-    assert (arrays["given"][owned] >= np.nonzero(owned)[0]).all()  # no reading is given away before it was measured
+    assert (
+        arrays["given"][owned] >= np.nonzero(owned)[0]
+    ).all()  # no reading is given away before it was measured
 
 
 def test_decisions_agree_with_the_values_that_they_show(recording):
@@ -76,7 +80,9 @@ def test_decisions_agree_with_the_values_that_they_show(recording):
         if event["kind"] == "again":
             assert event["wall"] == min(fits, key=lambda test: test["d2"])["wall"]
         if event["kind"] == "new":
-            assert all(test["d2"] is None or test["d2"] >= limits["far_gate"] for test in event["tests"])
+            assert all(
+                test["d2"] is None or test["d2"] >= limits["far_gate"] for test in event["tests"]
+            )
         if event["kind"] in {"new", "again"}:
             assert event["after"]["cov"][5] <= event["before"]["cov"][5]
         else:
@@ -90,7 +96,10 @@ def test_frontiers_have_costs_and_the_goal_is_at_one_of_them(recording):
     found = meta["frontiers"][arrays["frontier_index"][moment]]
     assert any(frontier["costs"][0] is not None for frontier in found)
     starts = arrays["frontier_starts"]
-    cells = [arrays["frontier_cells"][starts[f["cells"]] : starts[f["cells"] + 1]] * meta["quantum"] for f in found]
+    cells = [
+        arrays["frontier_cells"][starts[f["cells"]] : starts[f["cells"] + 1]] * meta["quantum"]
+        for f in found
+    ]
     assert np.hypot(*(np.concatenate(cells) - goal).T).min() < 0.5
 
 
@@ -104,7 +113,12 @@ def test_other_runs(tmp_path, options):
 
 def test_replays_and_logs(tmp_path, run_folder):
     replayed = tmp_path / "replay"
-    assert limslam("replay", run_folder / "log.npz", "--preset", "consistent", "--out", replayed).returncode == 0
+    assert (
+        limslam(
+            "replay", run_folder / "log.npz", "--preset", "consistent", "--out", replayed
+        ).returncode
+        == 0
+    )
     done = inspected(replayed, tmp_path / "replay.html")
     assert "The poses equal" in done.stdout
     arrays, meta = unpacked(data_in(tmp_path / "replay.html"))
@@ -114,7 +128,9 @@ def test_replays_and_logs(tmp_path, run_folder):
     assert bare.returncode == 0, bare.stderr
     assert "check" not in bare.stdout
     settings = replayed / "run.toml"
-    settings.write_text(f'other_log = "second.npz"\n{settings.read_text(encoding="utf-8")}', encoding="utf-8")
+    settings.write_text(
+        f'other_log = "second.npz"\n{settings.read_text(encoding="utf-8")}', encoding="utf-8"
+    )
     refused = inspected(replayed, tmp_path / "two.html")
     assert refused.returncode == 2
     assert "is of two logs; inspect one of them: limslam inspect " in refused.stderr
@@ -163,16 +179,21 @@ def test_damaged_folders_are_refused_in_one_line(tmp_path, run_folder, make, wor
 def test_targets_that_cannot_be_written_are_refused(tmp_path, run_folder, page):
     assert "a page ends in .html" in inspected(run_folder, tmp_path / "page.png").stderr
     assert "--force" in inspected(run_folder, page).stderr
-    assert "there is no such folder" in inspected(tmp_path / "nothing", tmp_path / "page.html").stderr
+    assert (
+        "there is no such folder" in inspected(tmp_path / "nothing", tmp_path / "page.html").stderr
+    )
     (tmp_path / "text.csv").write_text("nothing\n", encoding="utf-8")
     assert inspected(tmp_path / "text.csv", tmp_path / "page.html").returncode == 2
 
 
 def test_what_is_packed_comes_out_again():
     arrays = {
-        "odd": np.arange(3, dtype=np.uint8), "times": np.linspace(0.0, 1.0, 5), "empty": np.zeros((0, 2), np.int16),
-        "strided": np.arange(12, dtype=np.float32).reshape(3, 4).T, "big": np.arange(2, dtype=">i4"),
-    }  # fmt: skip
+        "odd": np.arange(3, dtype=np.uint8),
+        "times": np.linspace(0.0, 1.0, 5),
+        "empty": np.zeros((0, 2), np.int16),
+        "strided": np.arange(12, dtype=np.float32).reshape(3, 4).T,
+        "big": np.arange(2, dtype=">i4"),
+    }
     found, meta = unpacked(packed(arrays, {"title": "Ü, <b> & </script>", "none": None}))
     assert meta == {"title": "Ü, <b> & </script>", "none": None}
     assert list(found) == list(arrays)
@@ -191,7 +212,11 @@ def restored(changes, cells):
 def kinds_of(view):
     column, row = np.rint(view.low / view.cell).astype(int).tolist()
     found = np.where(view.values > 0, FREE, np.where(view.values < 0, OCCUPIED, UNKNOWN))
-    return {(row + r, column + c): int(kind) for (r, c), kind in np.ndenumerate(found) if kind != UNKNOWN}
+    return {
+        (row + r, column + c): int(kind)
+        for (r, c), kind in np.ndenumerate(found)
+        if kind != UNKNOWN
+    }
 
 
 @given(st.integers(0, 10_000))

@@ -18,7 +18,10 @@ from limslam_env.interface import beams_on_rim
 factorise, whiten, solve_factored = (
     entry(each.py_func) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
 )
-add_products, orthonormalise = entry(covariance.add_products.py_func), entry(algebra.orthonormalise.py_func)
+add_products, orthonormalise = (
+    entry(covariance.add_products.py_func),
+    entry(algebra.orthonormalise.py_func),
+)
 quantile, sort_with = entry(algebra.quantile.py_func), entry(algebra.sort_with.py_func)
 GENERATOR = np.random.default_rng(0)
 
@@ -73,13 +76,17 @@ DENSE = RobotSpec(beams=beams_on_rim(tuple(range(0, 360, 20)), 0.1, max_range=3.
 
 
 class PlainGrid:
-    """The values of all cells that were touched, by column and row counted from the world's origin."""
+    """The values of all cells that were touched, by column and row counted from the world's
+    origin.
+    """
 
     def __init__(self) -> None:
         self.values: dict[tuple[int, int], int] = {}
         self.touched: set[tuple[int, int]] = set()
 
-    def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
+    def update(
+        self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray
+    ) -> None:
         beams = np.flatnonzero(usable & (ranges > robot.too_near))
         ends = robot.beam_origins[beams] + ranges[beams, None] * robot.beam_directions[beams]
         samples = [
@@ -108,10 +115,17 @@ def cells_of(points: FloatArray) -> set[tuple[int, int]]:
 
 @pytest.mark.parametrize("robot", [PAPER, DENSE], ids=["paper", "dense"])
 def test_the_grid_is_the_plain_one(robot: RobotSpec) -> None:
-    generator, number, plain, grid = np.random.default_rng(5), len(robot.beams), PlainGrid(), OccupancyGrid(CONFIG)
+    generator, number, plain, grid = (
+        np.random.default_rng(5),
+        len(robot.beams),
+        PlainGrid(),
+        OccupancyGrid(CONFIG),
+    )
     for _ in range(60):
         pose = np.array([*generator.normal(0.0, 1.5, 2), generator.uniform(-4.0, 4.0)])
-        ranges = np.clip(generator.random(number) * robot.max_ranges * 1.2, robot.min_ranges, robot.max_ranges)
+        ranges = np.clip(
+            generator.random(number) * robot.max_ranges * 1.2, robot.min_ranges, robot.max_ranges
+        )
         ranges[generator.random(number) < 0.05] = np.nan
         usable = (generator.random(number) < 0.8) & np.isfinite(ranges)
         plain.update(pose, robot, ranges, usable)
@@ -132,7 +146,9 @@ def test_the_grid_is_the_plain_one(robot: RobotSpec) -> None:
 
 def test_values_are_limited_and_a_known_cell_is_never_zero() -> None:
     values, stamps = np.array([[1, -9, 9, 0]], dtype=np.int16), np.zeros((1, 4), dtype=np.int32)
-    cells = np.array([[0, 0, ENDED], [0, 0, CROSSED], [0, 1, ENDED], [0, 2, CROSSED], [0, 3, SKIPPED]])
+    cells = np.array(
+        [[0, 0, ENDED], [0, 0, CROSSED], [0, 1, ENDED], [0, 2, CROSSED], [0, 3, SKIPPED]]
+    )
     change_cells(values, cells, stamps, 1, 2, 1, 10)
     assert values.tolist() == [[-1, -10, 10, 0]]
     assert stamps.tolist() == [[1, 1, 1, 0]]
@@ -145,9 +161,15 @@ BEAMS = len(ROBOT.beams)
 def drawn(seed: int) -> tuple[np.random.Generator, FloatArray, FloatArray]:
     """A generator, a pose (3,) and readings, some of them without a number."""
     generator = np.random.default_rng(seed)
-    ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges * 1.2, ROBOT.min_ranges, ROBOT.max_ranges)
+    ranges = np.clip(
+        generator.random(BEAMS) * ROBOT.max_ranges * 1.2, ROBOT.min_ranges, ROBOT.max_ranges
+    )
     ranges[generator.random(BEAMS) < 0.1] = np.nan
-    return generator, np.array([*generator.normal(0.0, 1.0, 2), generator.uniform(-4.0, 4.0)]), ranges
+    return (
+        generator,
+        np.array([*generator.normal(0.0, 1.0, 2), generator.uniform(-4.0, 4.0)]),
+        ranges,
+    )
 
 
 def ends_of(pose: FloatArray, reaches: FloatArray) -> FloatArray:
@@ -160,7 +182,9 @@ def test_readings_are_placed(seed: int) -> None:
     seen, touched = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
     place_readings(pose, ranges, ROBOT.beam_table, 0.4, seen, touched)
     is_hit, is_near = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far), ranges <= ROBOT.too_near
-    np.testing.assert_allclose(seen, np.where(is_hit[:, None], ends_of(pose, ranges), np.nan), atol=1e-12)
+    np.testing.assert_allclose(
+        seen, np.where(is_hit[:, None], ends_of(pose, ranges), np.nan), atol=1e-12
+    )
     near = ends_of(pose, 0.4 * ROBOT.too_near)
     np.testing.assert_allclose(touched, np.where(is_near[:, None], near, np.nan), atol=1e-12)
 
@@ -175,7 +199,9 @@ def test_the_share_of_a_way_that_is_safe() -> None:
         flat = points.reshape(-1, 2) - pose[:2]
         flat = flat[np.hypot(*flat.T) > 0.08]
         least = np.minimum(np.hypot(*flat.T), 0.125)
-        safe = [share for share in shares.tolist() if (np.hypot(*(flat - share * way).T) >= least).all()]
+        safe = [
+            share for share in shares.tolist() if (np.hypot(*(flat - share * way).T) >= least).all()
+        ]
         share = safe_share(pose, way, points[:5], points[5:], 0.08, 0.125, shares)
         assert share == (safe[0] if safe else 0.0)
         found.add(share)
@@ -199,11 +225,25 @@ def test_beams_on_another_robot() -> None:
     seen = 0
     for seed in SEEDS:
         generator, pose, _ = drawn(seed)
-        ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges)
-        other, root = pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0]), generator.normal(0.0, 0.1, (9, 9))
+        ranges = np.clip(
+            generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges
+        )
+        other, root = (
+            pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0]),
+            generator.normal(0.0, 0.1, (9, 9)),
+        )
         covariance, found = root @ root.T, np.zeros(BEAMS, dtype=bool)
         beams_on_robot(
-            pose, other, ranges, ROBOT.beam_table, (0.02, 0.03, 0.1, 0.01), covariance, 6, 0, (0.1, 2.0, 0.05), found
+            pose,
+            other,
+            ranges,
+            ROBOT.beam_table,
+            (0.02, 0.03, 0.1, 0.01),
+            covariance,
+            6,
+            0,
+            (0.1, 2.0, 0.05),
+            found,
         )
         reached = ranges - 0.01
         ends = ends_of(pose, reached)
@@ -211,7 +251,9 @@ def test_beams_on_another_robot() -> None:
         toward = (ends - other[:2]) / distance[:, None]
         turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
         jacobian, columns = np.column_stack((toward, turning, -toward)), [6, 7, 8, 0, 1]
-        variance = np.einsum("ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian)
+        variance = np.einsum(
+            "ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian
+        )
         noise = 0.02**2 + (0.03 * reached**2) ** 2
         expected = distance <= 0.1 + 2.0 * np.sqrt(variance + noise) + 0.05 + 0.1 * reached
         np.testing.assert_array_equal(found, expected)

@@ -1,4 +1,6 @@
-"""The line protocol of live robots: its lines, and the C code for firmware beside the Python of the host."""
+"""The line protocol of live robots: its lines, and the C code for firmware beside the Python of the
+host.
+"""
 
 import ctypes
 import random
@@ -32,16 +34,35 @@ from limslam_agent.live.protocol import (
 from limslam_agent.live.transports import LineBuffer
 from limslam_env.robots import e_puck
 
-U32, I32, I16 = st.integers(0, 2**32 - 1), st.integers(-(2**31), 2**31 - 1), st.integers(-(2**15), 2**15 - 1)
+U32, I32, I16 = (
+    st.integers(0, 2**32 - 1),
+    st.integers(-(2**31), 2**31 - 1),
+    st.integers(-(2**15), 2**15 - 1),
+)
 AMOUNT = st.integers(1, 65535)
 NAMES = st.text("abcXYZ019_.-", min_size=1, max_size=24)
-RANGES = st.lists(st.none() | st.integers(0, NOTHING_SEEN), min_size=1, max_size=MAX_BEAMS).map(tuple)
+RANGES = st.lists(st.none() | st.integers(0, NOTHING_SEEN), min_size=1, max_size=MAX_BEAMS).map(
+    tuple
+)
 HELLOS = st.builds(
-    Hello, version=st.integers(0, 255), boot=U32, name=NAMES, beams=st.integers(1, MAX_BEAMS),
-    nm_per_tick=st.integers(1, 2**32 - 1), period_ms=AMOUNT, watchdog_ms=AMOUNT,
-)  # fmt: skip
+    Hello,
+    version=st.integers(0, 255),
+    boot=U32,
+    name=NAMES,
+    beams=st.integers(1, MAX_BEAMS),
+    nm_per_tick=st.integers(1, 2**32 - 1),
+    period_ms=AMOUNT,
+    watchdog_ms=AMOUNT,
+)
 TELEMETRY = st.builds(
-    Telemetry, seq=U32, time_ms=U32, left=I32, right=I32, ack=U32, stopped=st.integers(0, 1), ranges=RANGES
+    Telemetry,
+    seq=U32,
+    time_ms=U32,
+    left=I32,
+    right=I32,
+    ack=U32,
+    stopped=st.integers(0, 1),
+    ranges=RANGES,
 )
 COMMANDS = (
     st.builds(Greeting, version=st.integers(0, 255), seq=U32)
@@ -69,8 +90,13 @@ def test_the_lines_of_the_page_are_those_of_the_protocol():
     page = ROOT / "docs" / "live.md"
     (block,) = (block for block in blocks(page) if block.text.startswith("H,1,"))
     messages = [decode(line.encode()) for line in block.text.splitlines()]
-    assert messages[:2] == [Hello(VERSION, 2833961172, "esp32-tof", 6, 141800, 50, 300), Greeting(VERSION, 0)]
-    assert messages[4] == Telemetry(1, 5170, 31, 33, 1, 0, (811, None, NOTHING_SEEN, 1193, 639, 587))
+    assert messages[:2] == [
+        Hello(VERSION, 2833961172, "esp32-tof", 6, 141800, 50, 300),
+        Greeting(VERSION, 0),
+    ]
+    assert messages[4] == Telemetry(
+        1, 5170, 31, 33, 1, 0, (811, None, NOTHING_SEEN, 1193, 639, 587)
+    )
     assert messages[5:] == [Speeds(2, 1, 100, 96), Heartbeat(3), Stop(4)]
 
 
@@ -78,7 +104,11 @@ def test_the_lines_of_the_page_are_those_of_the_protocol():
 @given(st.binary(max_size=80) | TELEMETRY.map(encode), st.data())
 def test_no_damaged_line_is_a_message(line, data):
     place = data.draw(st.integers(0, max(len(line) - 2, 0)))
-    damaged = line[:place] + bytes([(line[place] if line else 0) ^ data.draw(st.integers(1, 255))]) + line[place + 1 :]
+    damaged = (
+        line[:place]
+        + bytes([(line[place] if line else 0) ^ data.draw(st.integers(1, 255))])
+        + line[place + 1 :]
+    )
     with pytest.raises(BadLineError):
         decode(damaged.replace(b"\n", b"").replace(b"\r", b"") + b"?")
     if line.startswith(b"S,"):
@@ -89,12 +119,34 @@ def test_no_damaged_line_is_a_message(line, data):
 @pytest.mark.parametrize(
     "body",
     [
-        "", "S", "X", "X,", "X,1,2", "X,1.0", "X, 1", "X,+1", "X,-1", "X,4294967296", "X,00000000001", "x,1", "V,1,2,3",
-        "V,1,2,40000,0", "Z,1", "H,1,2,,6,1,1,1", "H,1,2,a b,6,1,1,1", "H,1,2,a,0,1,1,1", "H,1,2,a,65,1,1,1",
-        "S,1,1,1,1,1,2,5", "S,1,1,1,1,1,0", "S,1,1,1,1,1,0,", "S,1,1,1,1,1,0,65536", "S,1,1,1,1,1,0,--",
-        "S,1,1,1,1,1,0" + ",1" * (MAX_BEAMS + 1), "X,\u0661",
+        "",
+        "S",
+        "X",
+        "X,",
+        "X,1,2",
+        "X,1.0",
+        "X, 1",
+        "X,+1",
+        "X,-1",
+        "X,4294967296",
+        "X,00000000001",
+        "x,1",
+        "V,1,2,3",
+        "V,1,2,40000,0",
+        "Z,1",
+        "H,1,2,,6,1,1,1",
+        "H,1,2,a b,6,1,1,1",
+        "H,1,2,a,0,1,1,1",
+        "H,1,2,a,65,1,1,1",
+        "S,1,1,1,1,1,2,5",
+        "S,1,1,1,1,1,0",
+        "S,1,1,1,1,1,0,",
+        "S,1,1,1,1,1,0,65536",
+        "S,1,1,1,1,1,0,--",
+        "S,1,1,1,1,1,0" + ",1" * (MAX_BEAMS + 1),
+        "X,\u0661",
     ],
-)  # fmt: skip
+)
 def test_a_right_checksum_does_not_make_a_message(body):
     raw = body.encode()
     with pytest.raises(BadLineError):
@@ -103,7 +155,13 @@ def test_a_right_checksum_does_not_make_a_message(body):
 
 @pytest.mark.parametrize(
     "message",
-    [Stop(-1), Stop(2**32), Speeds(1, 1, 40000, 0), Hello(1, 1, "a b", 6, 1, 1, 1), Telemetry(1, 1, 1, 1, 1, 0, ())],
+    [
+        Stop(-1),
+        Stop(2**32),
+        Speeds(1, 1, 40000, 0),
+        Hello(1, 1, "a b", 6, 1, 1, 1),
+        Telemetry(1, 1, 1, 1, 1, 0, ()),
+    ],
 )
 def test_what_does_not_fit_is_not_sent(message):
     with pytest.raises(BadLineError):
@@ -121,7 +179,11 @@ def test_counters_overflow_and_step_back():
 def test_lines_do_not_depend_on_how_their_bytes_arrive(parts, size):
     text = b"\n".join(parts) + b"\n"
     piecewise, at_once = LineBuffer(), LineBuffer()
-    found = [line for start in range(0, len(text), size) for line in piecewise.add(text[start : start + size])]
+    found = [
+        line
+        for start in range(0, len(text), size)
+        for line in piecewise.add(text[start : start + size])
+    ]
     assert found == at_once.add(text)
     assert all(b"\n" not in line and line for line in found)
 
@@ -133,9 +195,13 @@ NO_READING = NOTHING_SEEN + 1
 
 class CHello(ctypes.Structure):
     _fields_ = [
-        ("boot", ctypes.c_uint32), ("name", ctypes.c_char_p), ("beams", ctypes.c_uint8),
-        ("nm_per_tick", ctypes.c_uint32), ("period_ms", ctypes.c_uint16), ("watchdog_ms", ctypes.c_uint16),
-    ]  # fmt: skip
+        ("boot", ctypes.c_uint32),
+        ("name", ctypes.c_char_p),
+        ("beams", ctypes.c_uint8),
+        ("nm_per_tick", ctypes.c_uint32),
+        ("period_ms", ctypes.c_uint16),
+        ("watchdog_ms", ctypes.c_uint16),
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -146,17 +212,29 @@ def library(tmp_path_factory):
     if not SOURCES.is_dir():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
     path = tmp_path_factory.mktemp("c") / "link.so"
-    subprocess.run([compiler, *FLAGS, "-shared", "-fPIC", "-o", path, SOURCES / "limslam_link.c"], check=True)
+    subprocess.run(
+        [compiler, *FLAGS, "-shared", "-fPIC", "-o", path, SOURCES / "limslam_link.c"], check=True
+    )
     loaded = ctypes.CDLL(str(path))
     loaded.limslam_collect.restype = ctypes.c_char_p
     loaded.limslam_collect.argtypes = [ctypes.c_void_p, ctypes.c_char]
     loaded.limslam_say.restype = ctypes.c_size_t
     loaded.limslam_say.argtypes = [
-        ctypes.c_void_p, ctypes.c_uint32, ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_char_p,
+        ctypes.c_void_p,
+        ctypes.c_uint32,
+        ctypes.c_int32,
+        ctypes.c_int32,
+        ctypes.c_void_p,
+        ctypes.c_char_p,
         ctypes.c_size_t,
-    ]  # fmt: skip
+    ]
     loaded.limslam_hear.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_uint32]
-    loaded.limslam_speeds.argtypes = [ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p]
+    loaded.limslam_speeds.argtypes = [
+        ctypes.c_void_p,
+        ctypes.c_uint32,
+        ctypes.c_void_p,
+        ctypes.c_void_p,
+    ]
     loaded.limslam_start.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
     loaded.limslam_checksum.restype = ctypes.c_uint16
     loaded.limslam_checksum.argtypes = [ctypes.c_char_p, ctypes.c_size_t]
@@ -168,9 +246,12 @@ class Robot:
 
     def __init__(self, library, hello):
         self._library = library
-        self._hello = CHello(hello.boot, hello.name.encode(), hello.beams, *(
-            getattr(hello, name) for name in ("nm_per_tick", "period_ms", "watchdog_ms")
-        ))  # fmt: skip
+        self._hello = CHello(
+            hello.boot,
+            hello.name.encode(),
+            hello.beams,
+            *(getattr(hello, name) for name in ("nm_per_tick", "period_ms", "watchdog_ms")),
+        )
         self._link = ctypes.create_string_buffer(256)
         library.limslam_start(self._link, ctypes.byref(self._hello))
 
@@ -183,7 +264,9 @@ class Robot:
         return left.value, right.value
 
     def say(self, now, ticks, ranges, size=640):
-        listed = (ctypes.c_uint32 * len(ranges))(*(NO_READING if each is None else each for each in ranges))
+        listed = (ctypes.c_uint32 * len(ranges))(
+            *(NO_READING if each is None else each for each in ranges)
+        )
         text = ctypes.create_string_buffer(b"?" * size, size + 1)
         length = self._library.limslam_say(self._link, now, *ticks, listed, text, size)
         assert text.raw[size:] == b"\0"  # nothing was written behind the end
@@ -194,18 +277,34 @@ class Robot:
 def hello_of(generator):
     name = "".join(generator.choice("abcXYZ0129_.-") for _ in range(generator.randint(1, 24)))
     return Hello(
-        VERSION, generator.getrandbits(32), name, generator.randint(1, MAX_BEAMS), generator.randint(1, 2**32 - 1),
-        generator.randint(1, 200), generator.randint(1, 2000),
-    )  # fmt: skip
+        VERSION,
+        generator.getrandbits(32),
+        name,
+        generator.randint(1, MAX_BEAMS),
+        generator.randint(1, 2**32 - 1),
+        generator.randint(1, 200),
+        generator.randint(1, 2000),
+    )
 
 
 def some_line(generator, seq):
     """A line that a host may send, often damaged."""
-    command = generator.choice([
-        Speeds(seq, generator.getrandbits(32), generator.randint(-32768, 32767), generator.randint(-300, 300)),
-        Speeds(seq, seq, 100, 120), Heartbeat(seq), Stop(seq), Greeting(1, seq),
-        Hello(1, 2, "a", 3, 4, 5, 6), Telemetry(1, 2, 3, 4, 5, 0, (6,)),
-    ])  # fmt: skip
+    command = generator.choice(
+        [
+            Speeds(
+                seq,
+                generator.getrandbits(32),
+                generator.randint(-32768, 32767),
+                generator.randint(-300, 300),
+            ),
+            Speeds(seq, seq, 100, 120),
+            Heartbeat(seq),
+            Stop(seq),
+            Greeting(1, seq),
+            Hello(1, 2, "a", 3, 4, 5, 6),
+            Telemetry(1, 2, 3, 4, 5, 0, (6,)),
+        ]
+    )
     line = bytearray(encode(command))
     kind = generator.random()
     if kind < 0.2:
@@ -213,11 +312,23 @@ def some_line(generator, seq):
     elif kind < 0.3:
         del line[generator.randrange(len(line) - 1)]
     elif kind < 0.4:
-        body = bytes(generator.choice(b"QVPXHS,0123456789-+ .") for _ in range(generator.randint(0, 40)))
+        body = bytes(
+            generator.choice(b"QVPXHS,0123456789-+ .") for _ in range(generator.randint(0, 40))
+        )
         line = bytearray(b"%s*%04X\n" % (body, checksum(body)))
     elif kind < 0.5:  # a number of a right line is another one, with a right checksum
         words = bytes(line).partition(b"*")[0].split(b",")
-        strange = [b"", b"-0", b"007", b"4294967296", b"-32769", b"99999999999", b"1e3", b"-", b"2147483648"]
+        strange = [
+            b"",
+            b"-0",
+            b"007",
+            b"4294967296",
+            b"-32769",
+            b"99999999999",
+            b"1e3",
+            b"-",
+            b"2147483648",
+        ]
         words[generator.randrange(1, len(words))] = generator.choice(strange)
         body = b",".join(words)
         line = bytearray(b"%s*%04X\n" % (body, checksum(body)))
@@ -337,8 +448,10 @@ def compiles(tmp_path):
         folders = ["-I", tmp_path, "-I", EXAMPLES]
         return subprocess.run(
             [compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", *folders, *options],
-            capture_output=True, text=True, check=False,
-        ).stderr  # fmt: skip
+            capture_output=True,
+            text=True,
+            check=False,
+        ).stderr
 
     return compile_with
 

@@ -40,9 +40,13 @@ def odometry(x, y, heading):
 
 def scan(ranges, *, first=-180.0, step=1.0, least=0.1, largest=3.5, time_increment=0.0):
     return SimpleNamespace(
-        ranges=ranges, angle_min=math.radians(first), angle_increment=math.radians(step), range_min=least,
-        range_max=largest, time_increment=time_increment,
-    )  # fmt: skip
+        ranges=ranges,
+        angle_min=math.radians(first),
+        angle_increment=math.radians(step),
+        range_min=least,
+        range_max=largest,
+        time_increment=time_increment,
+    )
 
 
 def distance(reading, least=0.05, largest=1.2):
@@ -53,7 +57,13 @@ class FakePorts:
     """A node without ROS. Each look for messages gives those of the next moment."""
 
     def __init__(self, *moments):
-        self.moments, self.watchdog_stops, self.time, self.driven, self.held = list(moments), 0, 0.0, [], 0
+        self.moments, self.watchdog_stops, self.time, self.driven, self.held = (
+            list(moments),
+            0,
+            0.0,
+            [],
+            0,
+        )
 
     def take(self, timeout):
         self.time += timeout
@@ -72,14 +82,20 @@ class FakePorts:
 # Wheel travel from odometry.
 
 
-@pytest.mark.parametrize("wheels", [(0.1, 0.1), (0.1, 0.3), (-0.2, -0.1), (0.2, -0.2), (0.0, 0.5), (0.0, 0.0)])
+@pytest.mark.parametrize(
+    "wheels", [(0.1, 0.1), (0.1, 0.3), (-0.2, -0.1), (0.2, -0.2), (0.0, 0.5), (0.0, 0.0)]
+)
 def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
     motion = se2.arc(*se2.wheels_to_arc(np.array(wheels), 0.16))
     np.testing.assert_allclose(wheel_travel(motion, 0.16), wheels, atol=1e-12)
 
 
 def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages_lose_no_travel():
-    odometer, pose, wheels = Odometer(ROBOT, 0.1), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
+    odometer, pose, wheels = (
+        Odometer(ROBOT, 0.1),
+        np.array([3.0, -1.0, 3.0]),
+        np.array([0.02, 0.03]),
+    )
     odometer.add_pose(10.0, pose)
     for number in range(1, 11):
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, ROBOT.axle)))
@@ -97,7 +113,15 @@ def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages
 
 def test_late_and_doubled_odometry_is_counted_and_a_jump_is_no_travel():
     odometer = Odometer(ROBOT, 0.1)
-    for time, x in ((1.0, 0.0), (1.1, 0.02), (1.1, 0.02), (1.05, 0.01), (1.2, 0.04), (1.3, -7.0), (1.4, -6.98)):
+    for time, x in (
+        (1.0, 0.0),
+        (1.1, 0.02),
+        (1.1, 0.02),
+        (1.05, 0.01),
+        (1.2, 0.04),
+        (1.3, -7.0),
+        (1.4, -6.98),
+    ):
         odometer.add_pose(time, np.array([x, 0.0, 0.0]))
     assert (odometer.late, odometer.jumps, odometer.begun) == (2, 1, 0)
     assert odometer.at(1.4).left == pytest.approx(0.06)
@@ -110,8 +134,14 @@ def test_readings_mean_what_rep_117_says():
     readings = [1.0, math.inf, -math.inf, math.nan, -1.0, 0.0, 0.09, 3.5, 3.6, 3.4999]
     expected = (1000, NOTHING_SEEN, 0, None, None, 0, 0, NOTHING_SEEN, NOTHING_SEEN, 3500)
     assert in_mm(readings, 0.1, 3.5) == expected
-    # Drivers that leave the limits out, and readings so far away that their number has another meaning.
-    assert in_mm([0.0, 5.0, 65.535, math.inf], 0.0, 0.0) == (0, 5000, NOTHING_SEEN - 1, NOTHING_SEEN)
+    # Drivers that leave the limits out, and readings so far away that their number has another
+    # meaning.
+    assert in_mm([0.0, 5.0, 65.535, math.inf], 0.0, 0.0) == (
+        0,
+        5000,
+        NOTHING_SEEN - 1,
+        NOTHING_SEEN,
+    )
 
 
 def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser():
@@ -122,7 +152,9 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
     (reading,) = sensors.add(0, 5.0, scan(ranges.tolist()))
     assert reading.ranges == (700, NOTHING_SEEN, NOTHING_SEEN, 400, NOTHING_SEEN, NOTHING_SEEN)
     assert reading.time == 5.0
-    np.testing.assert_allclose(np.degrees(sensors.robot.beam_angles), np.degrees(ROBOT.beam_angles), atol=1e-9)
+    np.testing.assert_allclose(
+        np.degrees(sensors.robot.beam_angles), np.degrees(ROBOT.beam_angles), atol=1e-9
+    )
     np.testing.assert_allclose(sensors.robot.beam_origins, np.broadcast_to((0.05, 0.0), (6, 2)))
     assert set(sensors.robot.max_ranges) == {1.5}
     assert [beam.side for beam in sensors.robot.beams] == [beam.side for beam in ROBOT.beams]
@@ -130,14 +162,20 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
 
 def collected(sensors, *messages):
     """What sensors make of messages, each a number, a time and a range."""
-    found = [each for number, time, reading in messages for each in sensors.add(number, time, distance(reading))]
+    found = [
+        each
+        for number, time, reading in messages
+        for each in sensors.add(number, time, distance(reading))
+    ]
     return [(round(each.time, 3), each.ranges) for each in found]
 
 
 def three_ranges():
     """Sensors for three beams, whose topics have had a message each."""
     sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)), 0.1)
-    assert collected(sensors, *((number, 0.9, 1.0) for number in range(3))) == [(0.9, (1000, 1000, 1000))]
+    assert collected(sensors, *((number, 0.9, 1.0) for number in range(3))) == [
+        (0.9, (1000, 1000, 1000))
+    ]
     np.testing.assert_allclose(sensors.robot.max_ranges, 1.2)
     return sensors
 
@@ -146,12 +184,13 @@ def test_ranges_of_several_topics_that_are_near_in_time_belong_together():
     sensors = three_ranges()
     assert collected(sensors, (0, 1.00, 0.5), (2, 1.02, 0.7), (1, 1.01, math.inf)) == [
         (1.01, (500, NOTHING_SEEN, 700))
-    ]  # fmt: skip
+    ]
 
 
 def test_a_lost_message_is_no_reading_and_moments_are_not_mixed():
     sensors = three_ranges()
-    # The message of the second topic at 1.0 s is lost, and its next one arrives before those of the others.
+    # The message of the second topic at 1.0 s is lost, and its next one arrives before those of the
+    # others.
     messages = [(0, 1.0, 0.5), (2, 1.0, 0.7), (1, 1.1, 0.6), (0, 1.1, 0.4), (2, 1.1, 0.3)]
     assert collected(sensors, *messages) == [(1.0, (500, None, 700)), (1.1, (400, 600, 300))]
 
@@ -194,7 +233,9 @@ def moment(time, x, reading=0.5):
 def link_of(*moments, **parameters):
     topics = tuple(f"beam_{number}" for number in range(6))
     ports = FakePorts(*moments)
-    return RosLink(ports, ROBOT, Parameters(range_topics=topics, **parameters), clock=ports.now), ports
+    return RosLink(
+        ports, ROBOT, Parameters(range_topics=topics, **parameters), clock=ports.now
+    ), ports
 
 
 def test_messages_become_the_telemetry_of_a_session():
@@ -217,7 +258,9 @@ def test_messages_become_the_telemetry_of_a_session():
 
 def test_a_clock_that_was_set_is_a_robot_that_was_switched_on_again():
     later, earlier = range(8), range(8)
-    moments = [moment(100.0 + 0.1 * step, 0.0) for step in later] + [moment(1.0 + 0.1 * step, 0.0) for step in earlier]
+    moments = [moment(100.0 + 0.1 * step, 0.0) for step in later] + [
+        moment(1.0 + 0.1 * step, 0.0) for step in earlier
+    ]
     link, ports = link_of(*moments)
     first = link.first_hello(10.0)
     messages = []
@@ -246,7 +289,10 @@ def test_messages_that_cannot_be_used_are_counted_and_named():
         ([], "there was no message on beam_0, beam_1, beam_2, beam_3, beam_4, beam_5, odom"),
         ([moment(1.0, 0.0)[:4]], "there was no message on beam_3, beam_4, beam_5"),
         ([moment(1.0, 0.0)[1:]], "there was no message on odom"),
-        ([moment(1.0, 0.0), moment(1.1, 0.0)], "gave 2 measurements: are both stamped by the same clock"),
+        (
+            [moment(1.0, 0.0), moment(1.1, 0.0)],
+            "gave 2 measurements: are both stamped by the same clock",
+        ),
     ],
 )
 def test_what_is_silent_is_named(moments, words):
@@ -261,7 +307,10 @@ def test_what_is_silent_is_named(moments, words):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"range_topic": ["a"]}, "range_topic: there is no such setting; there are range_topics, scan_mount, "),
+        (
+            {"range_topic": ["a"]},
+            "range_topic: there is no such setting; there are range_topics, scan_mount, ",
+        ),
         ({"period": "fast"}, "the parameters of the node: period: must be a number, not 'fast'"),
         ({"watchdog": 0.0}, "watchdog must be a number from 0.05 to 60, not 0"),
     ],
@@ -276,7 +325,8 @@ def test_parameters_of_another_name_or_type_are_refused(values, words):
 
 def test_without_ros_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(
-        "limslam_agent.live.ros2.node.find_spec", lambda name: None if name in PACKAGES else find_spec(name)
+        "limslam_agent.live.ros2.node.find_spec",
+        lambda name: None if name in PACKAGES else find_spec(name),
     )
     finished = limslam("live", "--ros2", "--robot", "paper", "--out", tmp_path / "room")
     assert finished.returncode == 2
@@ -292,9 +342,11 @@ def test_the_launch_file_starts_a_command_that_the_command_line_reads(monkeypatc
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
     # Stand-ins for the launch system of ROS 2: each action keeps what it is given.
     kept = SimpleNamespace(
-        LaunchDescription=list, DeclareLaunchArgument=lambda name, default_value: (name, default_value),
-        ExecuteProcess=lambda **given: given, LaunchConfiguration=lambda name: f"<{name}>",
-    )  # fmt: skip
+        LaunchDescription=list,
+        DeclareLaunchArgument=lambda name, default_value: (name, default_value),
+        ExecuteProcess=lambda **given: given,
+        LaunchConfiguration=lambda name: f"<{name}>",
+    )
     for module in ("launch", "launch.actions", "launch.substitutions"):
         monkeypatch.setitem(sys.modules, module, kept)
     *arguments, process = runpy.run_path(str(example))["generate_launch_description"]()

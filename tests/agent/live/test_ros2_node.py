@@ -1,4 +1,6 @@
-"""``limslam live --ros2`` with robots, bags and listeners in other processes. Skipped where there is no ROS 2."""
+"""``limslam live --ros2`` with robots, bags and listeners in other processes. Skipped where there
+is no ROS 2.
+"""
 
 import json
 import math
@@ -26,10 +28,13 @@ BEAMS = [f"beam_{number}" for number in range(6)]
 RANGES = ("-p", f"range_topics:=[{','.join(BEAMS)}]")
 LIVE = ("-m", "limslam_agent", "live", "--ros2", "--robot", "paper", "--preset", "consistent")
 TOPICS = {
-    "map": "nav_msgs/msg/OccupancyGrid", "walls": "visualization_msgs/msg/MarkerArray",
-    "pose": "geometry_msgs/msg/PoseWithCovarianceStamped", "map_to_odom": "geometry_msgs/msg/TransformStamped",
-    "status": "diagnostic_msgs/msg/DiagnosticArray", "cmd_vel": "geometry_msgs/msg/Twist",
-}  # fmt: skip
+    "map": "nav_msgs/msg/OccupancyGrid",
+    "walls": "visualization_msgs/msg/MarkerArray",
+    "pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "map_to_odom": "geometry_msgs/msg/TransformStamped",
+    "status": "diagnostic_msgs/msg/DiagnosticArray",
+    "cmd_vel": "geometry_msgs/msg/Twist",
+}
 
 
 @pytest.fixture
@@ -76,7 +81,9 @@ def test_a_robot_in_another_process_explores_pauses_and_drives_home(processes, l
     truth, folder = tmp_path / "truth.txt", tmp_path / "room"
     robot = ("--speed", 0, "--truth", truth)
     processes("-m", "limslam_agent.live.emulator", "--ros2", *robot)
-    live = processes(*LIVE, "--out", folder, "--", "--ros-args", *RANGES, "-p", "use_sim_time:=true")
+    live = processes(
+        *LIVE, "--out", folder, "--", "--ros-args", *RANGES, "-p", "use_sim_time:=true"
+    )
     wait_for(lambda: len(listener.heard["pose"]) > 150, live)
     assert is_driving(listener)
     resume = listener.publisher("std_msgs/msg/Bool", "explore/resume")
@@ -134,10 +141,17 @@ def test_a_scan_that_ends_stops_the_wheels_and_ends_the_session(processes, liste
     for number in range(600):
         at = began + 0.1 * number
         odom.publish(build.odometry(at, ("odom", "base_link"), np.zeros(3), np.zeros(3)))
-        scan.publish(make(
-            "sensor_msgs/msg/LaserScan", header=build.header(at - 0.02, "laser"), angle_min=-math.pi,
-            angle_increment=step, range_min=0.1, range_max=3.5, ranges=[1.2] * 72,
-        ))  # fmt: skip
+        scan.publish(
+            make(
+                "sensor_msgs/msg/LaserScan",
+                header=build.header(at - 0.02, "laser"),
+                angle_min=-math.pi,
+                angle_increment=step,
+                range_min=0.1,
+                range_max=3.5,
+                ranges=[1.2] * 72,
+            )
+        )
         if is_driving(listener):
             break
         time.sleep(0.05)
@@ -156,11 +170,14 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
     assert limslam("run", *told).returncode == 0
     assert limslam("export", run, "--bag", "--out", tmp_path).returncode == 0
     processes(Path(ros2.__file__), bag, ros2.PACE)
-    live = processes(*LIVE, "--patience", 5, "--out", folder, "--", "--ros-args", *RANGES, "-p", "explore:=false")
+    live = processes(
+        *LIVE, "--patience", 5, "--out", folder, "--", "--ros-args", *RANGES, "-p", "explore:=false"
+    )
     finished(live)
     assert not any(each.linear.x or each.angular.z for each in listener.heard["cmd_vel"])
     original, heard = read_log(run / "log.npz"), read_log(folder / "log.npz")
-    # Messages of the beginning are lost, since topics are found one after the other, and a busy computer loses more.
+    # Messages of the beginning are lost, since topics are found one after the other, and a busy
+    # computer loses more.
     first = int(np.argmin(np.nanmax(np.abs(original.ranges - heard.ranges[0]), axis=1)))
     rows = first + np.round(heard.time / 0.1).astype(int)
     assert 300 < len(heard) <= len(original)
@@ -168,7 +185,9 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
     assert is_there.mean() > 0.8
     np.testing.assert_allclose(heard.ranges[is_there], original.ranges[rows][is_there], atol=6e-4)
     np.testing.assert_allclose(
-        np.cumsum(heard.wheels, axis=0), (sums := np.cumsum(original.wheels, axis=0))[rows] - sums[first], atol=1e-4
+        np.cumsum(heard.wheels, axis=0),
+        (sums := np.cumsum(original.wheels, axis=0))[rows] - sums[first],
+        atol=1e-4,
     )
     true, estimated = original.true_pose[rows], read_run(folder).estimated[0]
     errors = estimated - se2.between(np.broadcast_to(true[0], true.shape), true)

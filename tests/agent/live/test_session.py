@@ -20,7 +20,14 @@ from limslam_agent.live.transports import UdpTransport
 from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry import se2
 
-FIGURES = ("packets_lost", "packets_late", "packets_doubled", "packets_implausible", "lines_bad", "watchdog_stops")
+FIGURES = (
+    "packets_lost",
+    "packets_late",
+    "packets_doubled",
+    "packets_implausible",
+    "lines_bad",
+    "watchdog_stops",
+)
 
 
 class Drive:
@@ -43,10 +50,14 @@ def driven(wire, seconds, **options):
 
 
 def errors_of(session, wire):
-    """Distances (n,), m, between the poses that are estimated from the log of a session and the true poses."""
+    """Distances (n,), m, between the poses that are estimated from the log of a session and the
+    true poses.
+    """
     replay = replay_log(session.recording.log(), session.agent.config)
     true = np.array(wire.true)
-    times = replay.log.time - replay.log.time[-1] + 1e-3 * session.recording._origin[0].time_ms  # of the robot's clock
+    times = (
+        replay.log.time - replay.log.time[-1] + 1e-3 * session.recording._origin[0].time_ms
+    )  # of the robot's clock
     rows = np.searchsorted(true[:, 0], times - 1e-6)
     start = np.broadcast_to(true[rows[0], 1:], (len(rows), 3))
     return np.hypot(*(replay.estimated - se2.between(start, true[rows, 1:]))[:, :2].T)
@@ -83,7 +94,10 @@ def test_a_lost_line_loses_no_travel_and_the_map_is_whole():
     session, reason = driven(wire, 30.0)
     assert reason == OUT_OF_TIME
     figures = session.figures
-    assert all(figures[name] > 3 for name in ("packets_lost", "packets_late", "packets_doubled", "lines_bad"))
+    assert all(
+        figures[name] > 3
+        for name in ("packets_lost", "packets_late", "packets_doubled", "lines_bad")
+    )
     assert figures["packets_implausible"] == 0
     log = session.recording.log()
     assert (np.diff(log.time) > 0.05).all()
@@ -183,7 +197,9 @@ def test_a_paused_session_maps_and_leaves_the_wheels_to_others():
 
 
 def silent_from(seconds, order):
-    """A session with a robot whose cable is pulled, and that gets an order 0.2 s after that; and the wire."""
+    """A session with a robot whose cable is pulled, and that gets an order 0.2 s after that; and
+    the wire.
+    """
     wire = Wire(emulated())
 
     def obey(session):
@@ -195,16 +211,26 @@ def silent_from(seconds, order):
 
 
 def test_a_session_ends_when_it_is_asked_to_while_the_robot_is_silent():
-    session, wire = silent_from(3.0, lambda session: setattr(session, "asked_to_end", "somebody said so"))
+    session, wire = silent_from(
+        3.0, lambda session: setattr(session, "asked_to_end", "somebody said so")
+    )
     assert session.drive(60.0, 30.0) == "somebody said so"
     assert wire.clock() < 6.0
     assert isinstance(decode(wire.sent[-1]), Stop)
 
 
 FILES = {
-    "log.npz", "map.json", "map.pgm", "map.yaml", "map.png", "result.json", "run.toml", "covariance_est.npz",
-    "trajectory_est.tum", "trajectory_odometry.tum",
-}  # fmt: skip
+    "log.npz",
+    "map.json",
+    "map.pgm",
+    "map.yaml",
+    "map.png",
+    "result.json",
+    "run.toml",
+    "covariance_est.npz",
+    "trajectory_est.tum",
+    "trajectory_odometry.tum",
+}
 
 
 def free_port():
@@ -262,10 +288,13 @@ def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tm
     assert run.title == "live paper, consistent"
     assert run.true == []
     assert len(run.segments) >= 2
-    # The true pose at the end of the log, in the frame of the start. The emulator counts its own time.
+    # The true pose at the end of the log, in the frame of the start. The emulator counts its own
+    # time.
     true = np.loadtxt(truth)
     moved = np.flatnonzero(np.hypot(*np.diff(true[:, 1:3], axis=0).T) > 0.0)
-    assert np.hypot(*run.estimated[0][-1, :2]) == pytest.approx(np.hypot(*(true[-1] - true[moved[0]])[1:3]), abs=0.15)
+    assert np.hypot(*run.estimated[0][-1, :2]) == pytest.approx(
+        np.hypot(*(true[-1] - true[moved[0]])[1:3]), abs=0.15
+    )
     again = limslam("replay", "--config", folder / "run.toml", "--out", tmp_path / "again")
     assert (again.returncode, again.stderr) == (0, "")
     assert (tmp_path / "again" / "map.json").read_text() == (folder / "map.json").read_text()
@@ -277,7 +306,9 @@ def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tm
 def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     pytest.importorskip("serial", reason="needs the extra live (pyserial)")
     robot = tmp_path / "small.toml"
-    robot.write_text("radius = 0.06\naxle = 0.115\nbeams_deg = [90, 45, 0, -45, -90]\nmax_range = 2.0\n")
+    robot.write_text(
+        "radius = 0.06\naxle = 0.115\nbeams_deg = [90, 45, 0, -45, -90]\nmax_range = 2.0\n"
+    )
     _, name = emulator("--pty", "--robot", robot)
     folder = tmp_path / "room"
     told = ("--preset", "consistent", "--max-time", 6, "--watch", "--out", folder)
@@ -293,14 +324,19 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     assert inspected.returncode == 0, inspected.stderr
     assert "The poses equal those in the folder" in inspected.stdout
     assert (folder / "inspect.html").is_file()
-    assert "live small, consistent" in limslam("show", folder, "--out", tmp_path / "room.png").stdout
+    assert (
+        "live small, consistent" in limslam("show", folder, "--out", tmp_path / "room.png").stdout
+    )
 
 
 @pytest.mark.parametrize(
     ("told", "words"),
     [
         ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
-        (("--udp", 9, "--serial", "x"), "--serial and --udp are different places: the robot is at one of them only"),
+        (
+            ("--udp", 9, "--serial", "x"),
+            "--serial and --udp are different places: the robot is at one of them only",
+        ),
         (("--udp", 0, "--policy", "tour"), "the policy 'tour' knows the truth"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),

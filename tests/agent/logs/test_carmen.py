@@ -1,4 +1,6 @@
-"""Recorded logs: CARMEN's rules and refusals, the project's own log.npz, and which reader takes which file."""
+"""Recorded logs: CARMEN's rules and refusals, the project's own log.npz, and which reader takes
+which file.
+"""
 
 import math
 import sys
@@ -108,20 +110,35 @@ def test_events_keep_the_order_of_the_file_and_use_ipc_time(write: Any) -> None:
         (361, 90.0, [0, 90, 180, 270, 360]),
     ],
 )
-def test_beam_layout_follows_from_the_count(write: Any, count: int, last: float, found: list[int]) -> None:
+def test_beam_layout_follows_from_the_count(
+    write: Any, count: int, last: float, found: list[int]
+) -> None:
     # Readings that tell which beam they came from.
-    log = read_log(write(scan([0.5 + 0.001 * i for i in range(count)])), (-90.0, -45.2, 0.0, 45.0, 90.0), 3.0)
+    log = read_log(
+        write(scan([0.5 + 0.001 * i for i in range(count)])), (-90.0, -45.2, 0.0, 45.0, 90.0), 3.0
+    )
     np.testing.assert_allclose(log.ranges[0], [0.5 + 0.001 * i for i in found], rtol=1e-6)
-    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [-90.0, -45.0, 0.0, 45.0, last], atol=1e-9)
+    np.testing.assert_allclose(
+        np.degrees(log.robot.beam_angles), [-90.0, -45.0, 0.0, 45.0, last], atol=1e-9
+    )
 
 
 def test_beams_keep_the_order_asked_for_and_fill_their_sides(write: Any) -> None:
     values = changed(181 - 1, 1.0)
     values[0] = 0.5
     log = read_log(write(scan(values)), (90.0, 18.0, 19.0, 21.0, -54.0, -90.0), 5.0)
-    assert [beam.side for beam in log.robot.beams] == ["left", "none", "none", "left", "right", "right"]
+    assert [beam.side for beam in log.robot.beams] == [
+        "left",
+        "none",
+        "none",
+        "left",
+        "right",
+        "right",
+    ]
     np.testing.assert_array_equal(log.ranges[0], float32(1.0, 2.0, 2.0, 2.0, 2.0, 0.5))
-    assert {(beam.x, beam.y, beam.min_range, beam.max_range) for beam in log.robot.beams} == {(0.0, 0.0, 0.02, 5.0)}
+    assert {(beam.x, beam.y, beam.min_range, beam.max_range) for beam in log.robot.beams} == {
+        (0.0, 0.0, 0.02, 5.0)
+    }
     assert log.robot.radius == 0.2
 
 
@@ -131,8 +148,12 @@ def test_a_reading_at_or_past_the_cap_is_nothing_seen(write: Any, reading: float
     np.testing.assert_array_equal(log.ranges[0], float32(3.0, 2.0, 2.0, 2.0, 2.0, 2.0))
 
 
-@pytest.mark.parametrize(("top", "cap"), [(81.91, 100.0), (81.83, 100.0), (8.191, 20.0), (8.187, 8.19)])
-def test_a_lasers_own_maximum_is_nothing_seen_below_a_larger_cap(write: Any, top: float, cap: float) -> None:
+@pytest.mark.parametrize(
+    ("top", "cap"), [(81.91, 100.0), (81.83, 100.0), (8.191, 20.0), (8.187, 8.19)]
+)
+def test_a_lasers_own_maximum_is_nothing_seen_below_a_larger_cap(
+    write: Any, top: float, cap: float
+) -> None:
     log = read_log(write(scan(changed(0, top))), SIX, cap)
     assert log.ranges[0, 0] == np.float32(cap)
     assert log.ranges[0, 1] == 2.0
@@ -168,7 +189,9 @@ def test_observations_hold_the_motion_in_the_robots_own_frame(write: Any) -> Non
     )
     observations = list(read_log(path, SIX, 3.0).observations())
     expected = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, half], [1, 0, 3 - math.pi]])
-    np.testing.assert_allclose(np.array([o["odometry"] for o in observations]), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        np.array([o["odometry"] for o in observations]), expected, atol=1e-12
+    )
     assert all("wheels" not in o for o in observations)
     # Events without a scan measured nothing, which is not the same as having seen nothing.
     assert ["ranges" in o for o in observations] == [False, True, True, False]
@@ -180,7 +203,12 @@ def test_observations_hold_the_motion_in_the_robots_own_frame(write: Any) -> Non
 
 
 def test_a_single_line_before_the_clock_was_set_is_left_out(write: Any) -> None:
-    lines = [odom(at=-0.958593), *[scan(at=1e9 + number) for number in range(12)], scan(at=-5.0), scan(at=1e9 + 12)]
+    lines = [
+        odom(at=-0.958593),
+        *[scan(at=1e9 + number) for number in range(12)],
+        scan(at=-5.0),
+        scan(at=1e9 + 12),
+    ]
     log = read_log(write(*lines), SIX, 3.0)
     assert log.time.tolist() == [1e9 + number for number in range(13)]
     assert log.has_scan.all()
@@ -232,7 +260,9 @@ def test_a_log_without_odometry_is_refused(write: Any) -> None:
         [],
     ):
         assert "has no odometry" in refusal(write(*lines))
-    assert ": line 2: has no odometry" in refusal(write("#\n", f"FLASER 181 {ranges} 1.0 host 0.5\n"))
+    assert ": line 2: has no odometry" in refusal(
+        write("#\n", f"FLASER 181 {ranges} 1.0 host 0.5\n")
+    )
 
 
 # The project's own log
@@ -264,7 +294,10 @@ def test_our_own_log_comes_back_as_it_was(tmp_path: Path, save: Any) -> None:
     for name in ("time", "ranges", "wheels", "true_pose", "start_pose"):
         np.testing.assert_array_equal(getattr(log, name), arrays[name])
     observations = list(log.observations())
-    assert all("odometry" not in o and o["wheels"].dtype == o["ranges"].dtype == np.float32 for o in observations)
+    assert all(
+        "odometry" not in o and o["wheels"].dtype == o["ranges"].dtype == np.float32
+        for o in observations
+    )
     np.testing.assert_array_equal([o["wheels"] for o in observations], arrays["wheels"])
     np.testing.assert_array_equal([o["ranges"] for o in observations], arrays["ranges"])
 
@@ -293,7 +326,9 @@ def with_nan(array: Any) -> Any:
         ("robot", lambda _: np.array("{}"), "robot: not a robot"),
     ],
 )
-def test_our_own_log_with_something_wrong_in_it_is_refused(tmp_path: Path, name: str, change: Any, words: str) -> None:
+def test_our_own_log_with_something_wrong_in_it_is_refused(
+    tmp_path: Path, name: str, change: Any, words: str
+) -> None:
     arrays = own_log()
     arrays[name] = change(arrays[name])
     np.savez(tmp_path / "log.npz", **arrays)
@@ -329,7 +364,10 @@ def test_our_own_log_has_its_beams_and_range(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "events", "scans", "seconds", "metres"),
-    [("fr079/fr079_raw.clf.gz", 4934, 4791, 1061.5, 392.9), ("csail/mit-csail.clf.gz", 1988, 1988, 424.0, 373.6)],
+    [
+        ("fr079/fr079_raw.clf.gz", 4934, 4791, 1061.5, 392.9),
+        ("csail/mit-csail.clf.gz", 1988, 1988, 424.0, 373.6),
+    ],
 )
 def test_a_real_log_is_read_whole_and_with_little_work(
     name: str, events: int, scans: int, seconds: float, metres: float
@@ -340,8 +378,16 @@ def test_a_real_log_is_read_whole_and_with_little_work(
     assert log.time[-1] - log.time[0] == pytest.approx(seconds, abs=0.1)
     assert log.odometry is not None
     assert np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum() == pytest.approx(metres, abs=0.1)
-    assert [beam.side for beam in log.robot.beams] == ["right", "right", "none", "none", "left", "left"]
+    assert [beam.side for beam in log.robot.beams] == [
+        "right",
+        "right",
+        "none",
+        "none",
+        "left",
+        "left",
+    ]
     assert np.all(log.ranges[~log.has_scan] == 5.0)
     assert 0.02 < np.mean(log.ranges[log.has_scan] == 5.0) < 0.5
-    # 67 calls for each event, which take a tenth of a millisecond; a call for each value of a scan would make 360.
+    # 67 calls for each event, which take a tenth of a millisecond; a call for each value of a scan
+    # would make 360.
     assert calls < 130 * events

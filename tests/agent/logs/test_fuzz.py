@@ -1,4 +1,6 @@
-"""Mutated inputs of every format: each reader reads them or refuses them in one short line (tests/support/fuzz.py)."""
+"""Mutated inputs of every format: each reader reads them or refuses them in one short line
+(tests/support/fuzz.py).
+"""
 
 import pytest
 from support.fuzz import fuzz, targets

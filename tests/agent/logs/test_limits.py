@@ -36,15 +36,22 @@ def test_too_many_columns_are_refused_and_only_chosen_columns_are_stored(write):
 
 def npz_with(path, **changes):
     arrays = {
-        "time": np.arange(5.0), "ranges": np.ones((5, 6)), "wheels": np.zeros((5, 2)), "action": np.zeros((5, 2)),
-        "true_pose": np.zeros((5, 3)), "wall_seen": np.zeros((5, 6)), "robot": np.array(RobotSpec().to_json()),
+        "time": np.arange(5.0),
+        "ranges": np.ones((5, 6)),
+        "wheels": np.zeros((5, 2)),
+        "action": np.zeros((5, 2)),
+        "true_pose": np.zeros((5, 3)),
+        "wall_seen": np.zeros((5, 6)),
+        "robot": np.array(RobotSpec().to_json()),
         "start_pose": np.zeros(3),
-    } | changes  # fmt: skip
+    } | changes
     np.savez_compressed(path, **arrays)
     return path
 
 
-def test_a_header_that_promises_more_than_the_file_holds_is_refused_before_memory_is_reserved(tmp_path):
+def test_a_header_that_promises_more_than_the_file_holds_is_refused_before_memory_is_reserved(
+    tmp_path,
+):
     path = npz_with(tmp_path / "log.npz")
     with zipfile.ZipFile(path) as archive:
         held = {info.filename: archive.read(info) for info in archive.infolist()}
@@ -83,7 +90,9 @@ def test_messages_are_short_printable_and_on_one_line(tmp_path):
     assert finished.returncode == 2
     assert "\\x1b[31mred\\x07" in finished.stderr
     assert finished.stderr.strip().isprintable()
-    long = limslam("replay", tmp_path / "no.csv", "--beams", ",".join(["1"] * 9000 + ["b"]), cwd=tmp_path).stderr
+    long = limslam(
+        "replay", tmp_path / "no.csv", "--beams", ",".join(["1"] * 9000 + ["b"]), cwd=tmp_path
+    ).stderr
     assert len(long) < LONGEST_MESSAGE + 20
     assert long.startswith("limslam: --beams")
     assert long.rstrip().endswith("is not a list of numbers like 1,2.5")

@@ -11,7 +11,13 @@ from support.data import data_folder
 from support.data import refusal as refused
 
 from limslam_agent.logs.carmen import read_carmen
-from limslam_agent.logs.relations import RelationErrors, Relations, read_relations, relation_errors, summary
+from limslam_agent.logs.relations import (
+    RelationErrors,
+    Relations,
+    read_relations,
+    relation_errors,
+    summary,
+)
 from limslam_env.geometry import FloatArray
 
 HALF = math.pi / 2
@@ -29,7 +35,9 @@ def relations(*rows: tuple[float, float, float, float, float]) -> Relations:
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_relations_are_read_plain_and_packed(tmp_path: Path, packed: bool) -> None:
-    text = b"# t1 t2 x y z roll pitch yaw\n1.5 2.5 0.1 -0.2 9 8 7 0.3\n\n3 4 1 2 0 0 0 -1 # a note\n"
+    text = (
+        b"# t1 t2 x y z roll pitch yaw\n1.5 2.5 0.1 -0.2 9 8 7 0.3\n\n3 4 1 2 0 0 0 -1 # a note\n"
+    )
     path = tmp_path / "some.relations"
     path.write_bytes(gzip.compress(text) if packed else text)
     read = read_relations(path)
@@ -73,7 +81,8 @@ def matrix(pose: FloatArray) -> FloatArray:
 
 
 def test_a_case_worked_by_hand() -> None:
-    # Ahead 2 m, then a left turn on the spot. The relation says: 2 m ahead, 0.5 m to the left, turned by 80 degrees.
+    # Ahead 2 m, then a left turn on the spot. The relation says: 2 m ahead, 0.5 m to the left,
+    # turned by 80 degrees.
     time, poses = np.array([0.0, 10.0]), np.array([[1.0, 1.0, HALF], [1.0, 3.0, math.pi]])
     known = relations((0.0, 10.0, 2.0, 0.5, math.radians(80.0)))
     errors = relation_errors(known, time, poses)
@@ -88,12 +97,15 @@ def test_a_case_worked_by_hand() -> None:
 
 def test_the_pose_within_a_tenth_of_a_second_is_taken_as_it_is() -> None:
     time, poses = np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 0, 0]])
-    errors = relation_errors(relations((0.09, 1.92, 5.0, 0.0, 0.0), (0.0, 1.05, 1.0, 0.0, 0.0)), time, poses)
+    errors = relation_errors(
+        relations((0.09, 1.92, 5.0, 0.0, 0.0), (0.0, 1.05, 1.0, 0.0, 0.0)), time, poses
+    )
     np.testing.assert_allclose(errors.translation, 0.0, atol=1e-12)
 
 
 def test_between_poses_the_earlier_one_is_moved_on_by_odometry() -> None:
-    # The estimate faces up, odometry believes that it faces right: the motion is taken in the robot's own frame.
+    # The estimate faces up, odometry believes that it faces right: the motion is taken in the
+    # robot's own frame.
     time = np.array([0.0, 1.0])
     poses = np.array([[10.0, 10.0, HALF], [99.0, 99.0, 0.0]])
     odometry = np.array([[3.0, 0.0, 0.0], [5.0, 0.0, 0.4]])
@@ -105,15 +117,23 @@ def test_between_poses_the_earlier_one_is_moved_on_by_odometry() -> None:
 
 
 def test_times_may_step_back() -> None:
-    time, poses = np.array([0.0, 2.0, 1.0, 3.0]), np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]])
-    errors = relation_errors(relations((1.0, 2.0, 1.0, 0.0, 0.0), (0.5, 1.5, 1.0, 0.0, 0.0)), time, poses, poses)
+    time, poses = (
+        np.array([0.0, 2.0, 1.0, 3.0]),
+        np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]]),
+    )
+    errors = relation_errors(
+        relations((1.0, 2.0, 1.0, 0.0, 0.0), (0.5, 1.5, 1.0, 0.0, 0.0)), time, poses, poses
+    )
     np.testing.assert_allclose(errors.translation, 0.0, atol=1e-12)
 
 
 def test_relations_outside_the_log_are_left_out_and_counted() -> None:
     time, poses = np.array([10.0, 20.0]), np.array([[0.0, 0, 0], [1.0, 0, 0]])
     known = relations(
-        (9.1, 20.9, 1.0, 0.0, 0.0), (8.9, 20.0, 1.0, 0.0, 0.0), (10.0, 21.1, 1.0, 0.0, 0.0), (21.1, 10.0, 1.0, 0.0, 0.0)
+        (9.1, 20.9, 1.0, 0.0, 0.0),
+        (8.9, 20.0, 1.0, 0.0, 0.0),
+        (10.0, 21.1, 1.0, 0.0, 0.0),
+        (21.1, 10.0, 1.0, 0.0, 0.0),
     )
     errors = relation_errors(known, time, poses, poses)
     assert errors.unmatched == 3
@@ -172,6 +192,6 @@ def test_an_offline_mappers_trajectory_has_its_known_error() -> None:
     known = read_relations(folder / "fr079.relations.gz")
     figures = summary(relation_errors(known, reference[:, 0], reference[:, 1:]))
     assert figures["relation_error_m"] == pytest.approx(0.058, abs=0.001)
-    # The published 0.71 is with the nearest pose always; 102 of the 3370 moments are 0.10 to 0.19 s from any pose, and
-    # moving on to them, as the definition wants, makes it 0.73.
+    # The published 0.71 is with the nearest pose always; 102 of the 3370 moments are 0.10 to 0.19 s
+    # from any pose, and moving on to them, as the definition wants, makes it 0.73.
     assert figures["relation_error_deg"] == pytest.approx(0.71, abs=0.03)

@@ -1,4 +1,6 @@
-"""ROS bags: which topics are used, where beams point, how times meet, and how every fault is refused in one line."""
+"""ROS bags: which topics are used, where beams point, how times meet, and how every fault is
+refused in one line.
+"""
 
 import math
 
@@ -23,7 +25,9 @@ def drive(scans=10, **changes):
 
 
 def four_ranges(at, values=(0.5, 1.0, 1.5, 2.0), names=("front", "left", "back", "right")):
-    return [distance(at, value, f"/range/{name}") for value, name in zip(values, names, strict=True)]
+    return [
+        distance(at, value, f"/range/{name}") for value, name in zip(values, names, strict=True)
+    ]
 
 
 def degrees(log):
@@ -52,7 +56,9 @@ def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
     turn = {"angle_min": 0.0, "angle_increment": math.radians(1.0)}
     ranges = [0.5 + 0.005 * index for index in range(360)]
     messages = [
-        each for step in range(5) for each in (odometry(10 + step, 0.1 * step), scan(10 + step, ranges, **turn))
+        each
+        for step in range(5)
+        for each in (odometry(10 + step, 0.1 * step), scan(10 + step, ranges, **turn))
     ]
     path = write_bag(tmp_path, messages)
     log = read_log(path)
@@ -67,7 +73,9 @@ def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
 
 
 def test_where_the_laser_is_mounted_comes_from_tf_static(tmp_path):
-    mounts = fixed(("base_link", "plate", 0.1, 0.0, math.pi / 2, 0.0), ("plate", "laser", 0.2, 0.0, 0.0, 0.0))
+    mounts = fixed(
+        ("base_link", "plate", 0.1, 0.0, math.pi / 2, 0.0), ("plate", "laser", 0.2, 0.0, 0.0, 0.0)
+    )
     log = read_log(write_bag(tmp_path, [mounts, *drive()]))
     np.testing.assert_allclose([(b.x, b.y) for b in log.robot.beams], [[0.1, 0.2]] * 5, atol=1e-6)
     turned = np.radians(degrees(log) - [0.0, 45.0, 90.0, 135.0, 180.0])
@@ -79,7 +87,10 @@ def test_range_topics_are_gathered_into_events(tmp_path, kind):
     messages = [odometry(10.0 + 0.2 * step, 0.2 * step) for step in range(8)]
     for step in range(10):
         messages += four_ranges(10.1 + 0.1 * step)
-        messages += [distance(10.1 + 0.1 * step, 1.0, "/range/zrange"), distance(10.1, 2.0, "/range/up")]
+        messages += [
+            distance(10.1 + 0.1 * step, 1.0, "/range/zrange"),
+            distance(10.1, 2.0, "/range/up"),
+        ]
     log = read_log(write_bag(tmp_path, messages, kind))
     np.testing.assert_allclose(sorted(degrees(log)), [-90.0, 0.0, 90.0, 180.0])
     by_direction = dict(zip(degrees(log).round().tolist(), log.ranges[0].tolist(), strict=True))
@@ -90,9 +101,15 @@ def test_range_topics_are_gathered_into_events(tmp_path, kind):
 
 def test_range_topics_may_be_given_with_their_directions(tmp_path):
     messages = [odometry(10.0 + step, 0.1 * step) for step in range(3)]
-    messages += [each for step in range(3) for each in four_ranges(10.0 + step, names=("a", "b", "c", "left"))]
+    messages += [
+        each
+        for step in range(3)
+        for each in four_ranges(10.0 + step, names=("a", "b", "c", "left"))
+    ]
     path = write_bag(tmp_path, messages)
-    assert "where /range/a points is unknown: set it with --topics /range/a:DEGREES" in refusal(path)
+    assert "where /range/a points is unknown: set it with --topics /range/a:DEGREES" in refusal(
+        path
+    )
     log = read_log(path, None, None, {"range/c": 30.0, "range/left": None})
     np.testing.assert_allclose(degrees(log), [30.0, 90.0])
     np.testing.assert_allclose(log.ranges[0], [1.5, 2.0])
@@ -100,18 +117,28 @@ def test_range_topics_may_be_given_with_their_directions(tmp_path):
 
 def test_the_slowest_sensor_sets_the_pace_and_incomplete_events_are_left_out(tmp_path):
     messages = [odometry(10.0 + 0.5 * step, 0.1 * step) for step in range(20)]
-    messages += [distance(10.0 + 0.1 * step, 1.0 + 0.01 * step, "/left") for step in range(50) if not 20 <= step < 28]
+    messages += [
+        distance(10.0 + 0.1 * step, 1.0 + 0.01 * step, "/left")
+        for step in range(50)
+        if not 20 <= step < 28
+    ]
     messages += [distance(10.02 + 0.4 * step, 2.0, "/right") for step in range(12)]
     log = read_log(write_bag(tmp_path, messages))
-    kept = [step for step in range(12) if step != 6]  # at 12.42 s the left has been silent since 11.9
+    kept = [
+        step for step in range(12) if step != 6
+    ]  # at 12.42 s the left has been silent since 11.9
     np.testing.assert_allclose(log.time, [10.02 + 0.4 * step for step in kept], atol=1e-6)
     left = degrees(log).tolist().index(90.0)
     np.testing.assert_allclose(log.ranges[1, left], 1.04, rtol=1e-6)
 
 
 def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
-    mounts = fixed(("base_link", "laser", 0.2, 0.0, 0.0, 0.0), ("base_link", "behind", -0.2, 0.0, math.pi, 0.0))
-    messages = drive() + [scan(10.06 + 0.1 * step, [0.3, 0.4, 0.6], "/rear", frame="behind") for step in range(10)]
+    mounts = fixed(
+        ("base_link", "laser", 0.2, 0.0, 0.0, 0.0), ("base_link", "behind", -0.2, 0.0, math.pi, 0.0)
+    )
+    messages = drive() + [
+        scan(10.06 + 0.1 * step, [0.3, 0.4, 0.6], "/rear", frame="behind") for step in range(10)
+    ]
     path = write_bag(tmp_path, [mounts, *messages])
     log = read_log(path, (0.0, 180.0, 45.0), None, {"scan": None, "rear": None})
     np.testing.assert_allclose(log.ranges[0], [2.5, 0.4, 1.5], rtol=1e-6)
@@ -121,7 +148,9 @@ def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
 
 POSES = {
     "geometry_msgs/msg/PoseStamped": lambda x: {"pose": bags.pose(x, 0.0, 0.1 * x)},
-    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda x: {"pose": {"pose": bags.pose(x, 0.0, 0.1 * x)}},
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda x: {
+        "pose": {"pose": bags.pose(x, 0.0, 0.1 * x)}
+    },
     "geometry_msgs/msg/TransformStamped": lambda x: {
         "transform": {"translation": {"x": x}, "rotation": bags.rotation(0.1 * x)}
     },
@@ -131,20 +160,29 @@ POSES = {
 @pytest.mark.parametrize("kind", sorted(POSES))
 def test_poses_do_as_odometry_and_turn_the_short_way(tmp_path, kind):
     messages = [
-        Message("/pose", kind, 10.0 + step, {"header": bags.header(10.0 + step), **POSES[kind](30.0 + step)})
+        Message(
+            "/pose",
+            kind,
+            10.0 + step,
+            {"header": bags.header(10.0 + step), **POSES[kind](30.0 + step)},
+        )
         for step in range(4)
     ]
     log = read_log(write_bag(tmp_path, messages + [scan(10.5 + step, FIVE) for step in range(3)]))
     np.testing.assert_allclose(log.odometry[:, 0], [30.5, 31.5, 32.5])
     # 3.05, 3.15 and 3.25 rad: over the half turn.
-    np.testing.assert_allclose(log.odometry[:, 2], [3.05, 3.15 - 2 * math.pi, 3.25 - 2 * math.pi], atol=1e-9)
+    np.testing.assert_allclose(
+        log.odometry[:, 2], [3.05, 3.15 - 2 * math.pi, 3.25 - 2 * math.pi], atol=1e-9
+    )
 
 
 def test_odometry_goes_before_poses_and_two_of_a_kind_are_refused(tmp_path):
     goal = Message("/goal", "geometry_msgs/msg/PoseStamped", 10.0, {"header": bags.header(10.0)})
     path = write_bag(tmp_path, [goal, *drive()])
     assert len(read_log(path)) == 10
-    second = write_bag(tmp_path, [*drive(), odometry(10.0, 0.0, topic="/wheel_odom")], name="second")
+    second = write_bag(
+        tmp_path, [*drive(), odometry(10.0, 0.0, topic="/wheel_odom")], name="second"
+    )
     words = "has 2 topics with poses, /odom, /wheel_odom: choose one with --topics"
     assert words in refusal(second)
     assert len(read_log(second, None, None, {"odom": None})) == 10
@@ -171,7 +209,10 @@ def test_without_stamps_or_with_clocks_that_differ_the_bags_times_are_used(tmp_p
     ("bad", "words"),
     [
         (odometry(10.55, math.nan), "/odom: message 7: the position is nan, 0: not finite"),
-        (Message("/odom", "nav_msgs/msg/Odometry", 10.55, {"header": bags.header(10.55)}), "0, 0, 0, 0"),
+        (
+            Message("/odom", "nav_msgs/msg/Odometry", 10.55, {"header": bags.header(10.55)}),
+            "0, 0, 0, 0",
+        ),
         (odometry(10.55, 1e12), "the odometry in row"),
         (scan(10.6, []), "/scan: message 7: the scan has no ranges"),
         (scan(10.6, FIVE, angle_min=math.nan), "/scan: message 7: the scan's angles are invalid"),
@@ -185,10 +226,22 @@ def test_messages_that_make_no_sense_are_refused_with_their_number(tmp_path, bad
 @pytest.mark.parametrize(
     ("messages", "words"),
     [
-        ([odometry(10.0, 0.0)], "has no LaserScan and no Range; it has /odom (nav_msgs/msg/Odometry)"),
-        ([scan(10.0, FIVE)], "has no Odometry and no pose; it has /scan (sensor_msgs/msg/LaserScan)"),
-        ([*drive(1), distance(10.0, 1.0, "/left")], "has LaserScan (/scan) and Range topics (/left): choose with"),
-        ([odometry(10.0, 0.0), distance(10.0, 1.0, "/r1", frame="up_link")], "all of /r1 look up or down: no beam"),
+        (
+            [odometry(10.0, 0.0)],
+            "has no LaserScan and no Range; it has /odom (nav_msgs/msg/Odometry)",
+        ),
+        (
+            [scan(10.0, FIVE)],
+            "has no Odometry and no pose; it has /scan (sensor_msgs/msg/LaserScan)",
+        ),
+        (
+            [*drive(1), distance(10.0, 1.0, "/left")],
+            "has LaserScan (/scan) and Range topics (/left): choose with",
+        ),
+        (
+            [odometry(10.0, 0.0), distance(10.0, 1.0, "/r1", frame="up_link")],
+            "all of /r1 look up or down: no beam",
+        ),
         ([fixed(("base_link", "r", 0, 0, 0, 0)), *drive(2)], None),
     ],
 )
@@ -204,13 +257,18 @@ def test_bags_that_lack_or_offer_too_much_are_refused(tmp_path, messages, words)
     ("topics", "words"),
     [
         ("/front", "has no topic /front; it has /odom (nav_msgs/msg/Odometry), /scan"),
-        ("/scan:0", "/scan holds sensor_msgs/msg/LaserScan: only a Range has a direction to choose"),
+        (
+            "/scan:0",
+            "/scan holds sensor_msgs/msg/LaserScan: only a Range has a direction to choose",
+        ),
         ("/scan:somewhere", "--topics: 'somewhere' is no direction"),
         ("/scan:999", "--topics: 999 is not within 360 deg"),
     ],
 )
 def test_topics_that_cannot_be_used_are_refused(tmp_path, topics, words):
-    assert words in refused("replay", write_bag(tmp_path, drive(2)), "--topics", topics, cwd=tmp_path)
+    assert words in refused(
+        "replay", write_bag(tmp_path, drive(2)), "--topics", topics, cwd=tmp_path
+    )
 
 
 # Files
@@ -240,13 +298,28 @@ def test_folders_and_missing_files_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("/range/front", 0.0), ("/tof_left", 90.0), ("rangeRight", -90.0), ("/ultrasound/rear", 180.0),
-        ("back_link", 180.0), ("front_left", 45.0), ("FrontRight", -45.0), ("rear_right_link", -135.0),
-        ("range_90deg", 90.0), ("ir_m45deg", -45.0), ("minus_30_deg", -30.0),
-        ("ir-22.5deg", -22.5), ("tof_l", 90.0), ("/sonar_3", None),
-        ("l_sensor", None), ("vl53l0x", None), ("/range", None), ("left_right", None), ("feedback", None), ("", None),
+        ("/range/front", 0.0),
+        ("/tof_left", 90.0),
+        ("rangeRight", -90.0),
+        ("/ultrasound/rear", 180.0),
+        ("back_link", 180.0),
+        ("front_left", 45.0),
+        ("FrontRight", -45.0),
+        ("rear_right_link", -135.0),
+        ("range_90deg", 90.0),
+        ("ir_m45deg", -45.0),
+        ("minus_30_deg", -30.0),
+        ("ir-22.5deg", -22.5),
+        ("tof_l", 90.0),
+        ("/sonar_3", None),
+        ("l_sensor", None),
+        ("vl53l0x", None),
+        ("/range", None),
+        ("left_right", None),
+        ("feedback", None),
+        ("", None),
     ],
-)  # fmt: skip
+)
 def test_directions_in_names(name, expected):
     assert direction_of(name) == (None if expected is None else pytest.approx(expected))
 
@@ -257,13 +330,17 @@ def test_directions_in_names(name, expected):
 @pytest.mark.parametrize(("name", "events"), [("olsson-3loop", 3816), ("olsson-demo", 3430)])
 def test_a_drones_bag_agrees_with_its_numbers_as_text(name, events):
     folder = data_folder() / "crazyflie"
-    bag, text = read_log(folder / f"{name}.bag", None, 2.0), read_log(folder / f"{name}.csv.gz", None, 2.0)
+    bag, text = (
+        read_log(folder / f"{name}.bag", None, 2.0),
+        read_log(folder / f"{name}.csv.gz", None, 2.0),
+    )
     assert len(bag) == events
     np.testing.assert_allclose(degrees(bag), [-90.0, 0.0, 90.0, 180.0], atol=1e-9)
     first = len(text) - events - 1  # the text begins before the first position
     rows = slice(first, first + events)
     np.testing.assert_array_equal(bag.ranges, text.ranges[rows])
-    # The text has the position last heard of, the bag the one at that time: a drone flies 10 cm in a tenth of a second.
+    # The text has the position last heard of, the bag the one at that time: a drone flies 10 cm in
+    # a tenth of a second.
     assert np.hypot(*(bag.odometry - text.odometry[rows])[:, :2].T).max() < 0.15
     assert np.abs(np.angle(np.exp(1j * (bag.odometry - text.odometry[rows])[:, 2]))).max() < 0.02
 
@@ -276,15 +353,25 @@ def test_a_drones_arrays_are_told_by_their_topics(tmp_path):
         raw = [0.5, 1.0, 1.5, 2.0, 2.5, *bags.rotation(0.1 * step).values()]
         messages += [
             Message(ranger, bags.RAW_DATA, at, {"header": bags.header(at), "raw": raw}),
-            Message(position, bags.RAW_DATA, at, {"header": bags.header(at), "raw": [0.1 * step, 0.2, 0.3]}),
+            Message(
+                position,
+                bags.RAW_DATA,
+                at,
+                {"header": bags.header(at), "raw": [0.1 * step, 0.2, 0.3]},
+            ),
         ]
     path = write_bag(tmp_path, messages)
     log = read_log(path)
-    np.testing.assert_allclose(log.odometry, [[0.1 * step, 0.2, 0.1 * step] for step in range(5)], atol=1e-6)
+    np.testing.assert_allclose(
+        log.odometry, [[0.1 * step, 0.2, 0.1 * step] for step in range(5)], atol=1e-6
+    )
     np.testing.assert_allclose(log.ranges[0], [0.5, 1.0, 1.5, 2.0])
     chosen = read_log(path, (90.0, -90.0))
     np.testing.assert_allclose(chosen.ranges[0], [1.5, 0.5])
-    short = [*messages, Message(ranger, bags.RAW_DATA, 10.45, {"header": bags.header(10.45), "raw": [1.0]})]
+    short = [
+        *messages,
+        Message(ranger, bags.RAW_DATA, 10.45, {"header": bags.header(10.45), "raw": [1.0]}),
+    ]
     assert f"{ranger}: message 6: " in refusal(write_bag(tmp_path, short, name="short"))
     other = [each for each in messages if each.topic == ranger]
     assert "has no LaserScan and no Range" in refusal(write_bag(tmp_path, other, name="other"))

@@ -1,4 +1,6 @@
-"""Logs as text tables, of poses and of wheel travel: headers, units, and one line for every fault."""
+"""Logs as text tables, of poses and of wheel travel: headers, units, and one line for every
+fault.
+"""
 
 import math
 from dataclasses import replace
@@ -80,7 +82,9 @@ def test_headers_may_be_written_in_many_ways(write, head):
         return
     names = head.splitlines()[-1]
     mark = next((each for each in ",;\t" if each in names.partition("(")[0]), " ")
-    path = write(head + "\n" + mark.join(["0", "0", "0", "0", "0.5", "1.0", "1.5"]) + "\n", "log.txt")
+    path = write(
+        head + "\n" + mark.join(["0", "0", "0", "0", "0.5", "1.0", "1.5"]) + "\n", "log.txt"
+    )
     log = read_log(path)
     np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
     np.testing.assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
@@ -95,13 +99,23 @@ def test_dots_stand_for_the_beams_between(write):
 
 def test_beams_can_be_chosen_and_are_six_of_many(write):
     angles = range(-90, 91, 5)
-    text = "t,x,y,theta," + ",".join(f"r_{angle}" for angle in angles) + "\n0,0,0,0," + ",".join("1" * 37) + "\n"
+    text = (
+        "t,x,y,theta,"
+        + ",".join(f"r_{angle}" for angle in angles)
+        + "\n0,0,0,0,"
+        + ",".join("1" * 37)
+        + "\n"
+    )
     path = write(text)
     np.testing.assert_allclose(degrees(read_log(path)), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0])
     np.testing.assert_allclose(degrees(read_log(path, (30.5, -30.0))), [30.0, -30.0])
-    assert "no beam within 1 deg of 32 deg: the log's beams are from -90 to 90 deg" in refusal(path, (32.0,))
+    assert "no beam within 1 deg of 32 deg: the log's beams are from -90 to 90 deg" in refusal(
+        path, (32.0,)
+    )
     few = write(HEAD + "0,0,0,0,1,1,1\n", "few.csv")
-    assert "no beam within 1 deg of 45 deg: the log's beams are at -90, 0, 90 deg" in refusal(few, (45.0,))
+    assert "no beam within 1 deg of 45 deg: the log's beams are at -90, 0, 90 deg" in refusal(
+        few, (45.0,)
+    )
 
 
 # What is refused
@@ -113,11 +127,17 @@ def test_beams_can_be_chosen_and_are_six_of_many(write):
         ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7: delete the line"),
         (
             "0,2,0,0,1,5,0,1,1,1,1",
-            "line 3: 11 columns where the header names 7: if commas are decimal marks here, separate the columns by",
+            (
+                "line 3: 11 columns where the header names 7: if commas are decimal marks here, "
+                "separate the columns by"
+            ),
         ),
         ("nan,0,0,0,1,1,1", "line 3: t is nan, not a finite number"),
         ("0.2,inf,0,0,1,1,1", "line 3: x is inf"),
-        ("0.2,0,0,0,1,far,1", "line 3: a range is not a number: 'far'; an empty field or nan is no reading"),
+        (
+            "0.2,0,0,0,1,far,1",
+            "line 3: a range is not a number: 'far'; an empty field or nan is no reading",
+        ),
         ("-2.0,0,0,0,1,1,1", "line 3: the time steps back by 2.0 s"),
         ("0.2,1e4,0,0,1,1,1", "odometry jumps by 1e+04 m in row 1"),
     ],
@@ -129,13 +149,22 @@ def test_a_bad_row_is_refused_with_its_line(write, row, words):
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        ("t,x,y,r_0", "line 1: the header must be t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not"),
+        (
+            "t,x,y,r_0",
+            "line 1: the header must be t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not",
+        ),
         ("t,x,y,theta", "line 1: the header names no ranges"),
         ("t,x,y,theta,r_0,battery", "line 1: the column 'battery' is not a range"),
-        ("t,x,y,theta,r_0,r_somewhere", "line 1: the column 'r_somewhere': 'somewhere' is no direction"),
+        (
+            "t,x,y,theta,r_0,r_somewhere",
+            "line 1: the column 'r_somewhere': 'somewhere' is no direction",
+        ),
         ("t,x,y,theta,r_0,r_999", "line 1: the column 'r_999': 999 is not within 360 deg"),
         ("t,x,y,theta,r_0,r_front", "line 1: the header names the beam at 0 deg twice"),
-        ("t,x,y,theta,r_0,r_20,...,r_90", "line 1: '...' cannot go from 20 to 90 deg in steps of 20"),
+        (
+            "t,x,y,theta,r_0,r_20,...,r_90",
+            "line 1: '...' cannot go from 20 to 90 deg in steps of 20",
+        ),
     ],
 )
 def test_a_bad_header_is_refused(write, head, words):
@@ -155,12 +184,16 @@ def test_other_texts_are_no_tables(write):
 
 
 @pytest.mark.parametrize(
-    ("name", "events", "scans"), [("fr079/fr079_13beam", 4934, 4791), ("csail/csail_13beam", 1988, 1988)]
+    ("name", "events", "scans"),
+    [("fr079/fr079_13beam", 4934, 4791), ("csail/csail_13beam", 1988, 1988)],
 )
 def test_the_text_of_a_real_log_agrees_with_the_log(name, events, scans):
     folder = data_folder()
     text = read_log(folder / f"{name}.csv.gz", None, 5.0)
-    raw = {"fr079/fr079_13beam": "fr079/fr079_raw.clf.gz", "csail/csail_13beam": "csail/mit-csail.clf.gz"}[name]
+    raw = {
+        "fr079/fr079_13beam": "fr079/fr079_raw.clf.gz",
+        "csail/csail_13beam": "csail/mit-csail.clf.gz",
+    }[name]
     angles = tuple(np.arange(-90.0, 91.0, 15.0).tolist())
     log = read_log(folder / raw, angles, 5.0)
     assert (len(text), int(text.has_scan.sum())) == (events, scans)
@@ -171,7 +204,9 @@ def test_the_text_of_a_real_log_agrees_with_the_log(name, events, scans):
     np.testing.assert_allclose(text.time, log.time, atol=1e-6)
 
 
-ROBOT = RobotSpec(radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0))
+ROBOT = RobotSpec(
+    radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0)
+)
 WHEELS = "t,left,right,r_90,r_54,r_-90\n"
 METRES = "0.0,0.5,0.5,1.0,1.5,2.5\n0.1,0.01,0.02,1.1,inf,0.6\n0.2,0.03,0.01,1.2,nan,0.7\n"
 # The same drive by counters of 0.001 m a tick.
@@ -183,7 +218,9 @@ def test_a_row_is_the_travel_since_the_row_before(write):
     log = read_log(write(WHEELS + METRES), table=TableOptions(ROBOT))
     np.testing.assert_allclose(log.wheels, [[0.0, 0.0], [0.01, 0.02], [0.03, 0.01]])
     assert log.odometry is None
-    np.testing.assert_array_equal(log.ranges, np.float32([[1.0, 1.5, 2.0], [1.1, 2.0, 0.6], [1.2, math.nan, 0.7]]))
+    np.testing.assert_array_equal(
+        log.ranges, np.float32([[1.0, 1.5, 2.0], [1.1, 2.0, 0.6], [1.2, math.nan, 0.7]])
+    )
     assert (log.robot.axle, log.robot.radius) == (0.115, 0.06)
     assert log.robot.control_period == pytest.approx(0.1)
 
@@ -209,12 +246,23 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
     ("text", "options", "words"),
     [
         (WHEELS + METRES, None, "line 1: a table of wheel travel needs --robot FILE"),
-        ("t,left,right,r_0\n0,0,0,1\n", TableOptions(ROBOT), "at 0 deg, but the robot's beams are at 90, 54, -54, -90"),
-        ("t,left,r_0\n0,0,1\n", TableOptions(ROBOT), "or t,left,right,r_<deg>,..., not 't,left,r_0'"),
+        (
+            "t,left,right,r_0\n0,0,0,1\n",
+            TableOptions(ROBOT),
+            "at 0 deg, but the robot's beams are at 90, 54, -54, -90",
+        ),
+        (
+            "t,left,r_0\n0,0,1\n",
+            TableOptions(ROBOT),
+            "or t,left,right,r_<deg>,..., not 't,left,r_0'",
+        ),
         (
             WHEELS + "0,0,0,1,1,1,7\n",
             TableOptions(ROBOT),
-            "or begin it with #, or correct the header: --columns can name all columns in its place",
+            (
+                "or begin it with #, or correct the header: --columns can name all columns in its "
+                "place"
+            ),
         ),
         (
             WHEELS + "0,0,0,1,1,1\n-5,0,0,1,1,1\n",
@@ -247,14 +295,18 @@ def test_a_counter_is_continued_where_it_begins_again(write, bits, has_sign):
     counts = 2**bits - 1000 + np.arange(0, 400 * 200, 200)
     wrapped = (counts - low) % 2**bits + low
     rows = "".join(
-        f"{0.1 * row:.1f},{left},{-left - 1 + 2 * low + 2**bits},1,1,1\n" for row, left in enumerate(wrapped)
+        f"{0.1 * row:.1f},{left},{-left - 1 + 2 * low + 2**bits},1,1,1\n"
+        for row, left in enumerate(wrapped)
     )
     log = read_log(write(WHEELS + rows), table=TableOptions(ROBOT, 1e-4, accumulated=True))
     np.testing.assert_allclose(log.wheels[1:], [[0.02, -0.02]] * 399)
 
 
 def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write):
-    rows = "".join(f"{time},{count % 4096},{count % 4096},1,1,1\n" for time, count in enumerate(range(0, 9000, 90)))
+    rows = "".join(
+        f"{time},{count % 4096},{count % 4096},1,1,1\n"
+        for time, count in enumerate(range(0, 9000, 90))
+    )
     rows += f"{150},{10500 % 4096},{10500 % 4096},1,1,1\n"
     log = read_log(write(WHEELS + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
     np.testing.assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
@@ -262,7 +314,8 @@ def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write)
 
 def test_counters_that_pass_0_in_a_gap_are_read(write):
     rows = "".join(
-        f"{time:.1f},{count},{count},1,1,1\n" for time, count in ((0, -60), (0.1, -40), (0.2, -20), (0.5, 40))
+        f"{time:.1f},{count},{count},1,1,1\n"
+        for time, count in ((0, -60), (0.1, -40), (0.2, -20), (0.5, 40))
     )
     log = read_log(write(WHEELS + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
     np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 0.02, 0.06])
@@ -299,20 +352,30 @@ def test_columns_that_do_not_fit_are_refused(write):
     options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_0"))
     assert "--columns names a beam at 0 deg" in refusal(write(WHEELS + TICKS), table=options)
     options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
-    assert "line 2: 6 columns where --columns names 5" in refusal(write(WHEELS + TICKS), table=options)
+    assert "line 2: 6 columns where --columns names 5" in refusal(
+        write(WHEELS + TICKS), table=options
+    )
 
 
 def test_a_clock_that_steps_back_without_its_counters_is_refused(write):
     rows = "0,0,0,1,1,1\n9000,400,500,1,1,1\n100,9410,9510,1,1,1\n"
-    assert "line 4: the time steps back by 8.9 s" in refusal(write(WHEELS + rows), table=TICK_OPTIONS)
+    assert "line 4: the time steps back by 8.9 s" in refusal(
+        write(WHEELS + rows), table=TICK_OPTIONS
+    )
     # Late enough that a robot could have driven as far since it was switched on.
     rows = "0,0,0,1,1,1\n30000,8000,8000,1,1,1\n25000,8020,8020,1,1,1\n"
-    assert "line 4: the time steps back by 5.0 s" in refusal(write(WHEELS + rows), table=TICK_OPTIONS)
+    assert "line 4: the time steps back by 5.0 s" in refusal(
+        write(WHEELS + rows), table=TICK_OPTIONS
+    )
     rows = "0,0,0,1,1,1\n9000,400,500,1,1,1\n4000,410,510,1,1,1\n"
-    assert "line 4: the time steps back by 5.0 s" in refusal(write(WHEELS + rows), table=TICK_OPTIONS)
+    assert "line 4: the time steps back by 5.0 s" in refusal(
+        write(WHEELS + rows), table=TICK_OPTIONS
+    )
     # Stamps of a calendar begin nowhere.
     rows = "1764000000000,0,0,1,1,1\n1764000009000,4000,4000,1,1,1\n1764000001000,0,0,1,1,1\n"
-    assert "line 4: the time steps back by 8.0 s" in refusal(write(WHEELS + rows), table=TICK_OPTIONS)
+    assert "line 4: the time steps back by 8.0 s" in refusal(
+        write(WHEELS + rows), table=TICK_OPTIONS
+    )
 
 
 def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
@@ -324,7 +387,8 @@ def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
 
 
 def zone_readings(pose, zones, width=1.0):
-    """Perpendicular distances, m, of a multi-zone sensor between walls at y = -width and y = width, zone by zone.
+    """Perpendicular distances, m, of a multi-zone sensor between walls at y = -width and y = width,
+    zone by zone.
 
     A zone is a triple: place in the robot's frame (x, y), axis and direction, both in degrees.
     """
@@ -339,11 +403,25 @@ def zone_readings(pose, zones, width=1.0):
 
 def test_zones_of_perpendicular_distances_give_the_walls_that_they_measured(write):
     places, axes = {90: (0.03, 0.05), -90: (0.03, -0.05)}, (90.0, -90.0)
-    zones = [(places[axis], axis, axis + off) for axis in (90, -90) for off in (16.875, 5.625, -5.625, -16.875)]
-    robot = RobotSpec(beams=tuple(SensorSpec(*at, math.radians(to), 0.02, 4.0) for at, _, to in zones))
-    poses = [(0.05 * step, 0.1 * math.sin(0.1 * step), 0.05 * math.cos(0.1 * step)) for step in range(20)]
-    rows = [[f"{0.1 * step:.1f}", *map(repr, pose), *(f"{1e3 * each:.3f}" for each in zone_readings(pose, zones))]
-            for step, pose in enumerate(poses)]  # fmt: skip
+    zones = [
+        (places[axis], axis, axis + off)
+        for axis in (90, -90)
+        for off in (16.875, 5.625, -5.625, -16.875)
+    ]
+    robot = RobotSpec(
+        beams=tuple(SensorSpec(*at, math.radians(to), 0.02, 4.0) for at, _, to in zones)
+    )
+    poses = [
+        (0.05 * step, 0.1 * math.sin(0.1 * step), 0.05 * math.cos(0.1 * step)) for step in range(20)
+    ]
+    rows = [
+        [
+            f"{0.1 * step:.1f}",
+            *map(repr, pose),
+            *(f"{1e3 * each:.3f}" for each in zone_readings(pose, zones)),
+        ]
+        for step, pose in enumerate(poses)
+    ]
     header = ["t", "x", "y", "theta", *(f"r_{to:g}" for *_, to in zones)]
     path = write("\n".join(",".join(row) for row in [header, *rows]) + "\n")
     log = read_log(path, table=TableOptions(robot, range_unit="mm", zone_axes=axes))

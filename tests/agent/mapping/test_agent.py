@@ -1,4 +1,6 @@
-"""LimSlamAgent on a recorded list of observations: it gives the same actions every time, without a simulator."""
+"""LimSlamAgent on a recorded list of observations: it gives the same actions every time, without a
+simulator.
+"""
 
 import subprocess
 import sys
@@ -20,7 +22,9 @@ Recording = tuple[FloatArray, list[Observation], FloatArray]
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    """Start pose, observations and the actions (n, 2) that an agent gave while they were recorded in Env1."""
+    """Start pose, observations and the actions (n, 2) that an agent gave while they were recorded
+    in Env1.
+    """
     env = LimSlamEnv("env1", sensor_noise=0.02)
     observation, info = env.reset(seed=5)
     start = info["pose"].copy()
@@ -46,7 +50,9 @@ def fresh(recording: Recording, config: AgentConfig = CONFIG) -> LimSlamAgent:
     return agent
 
 
-def test_a_recorded_list_gives_the_recorded_actions_bit_for_bit_after_each_reset(recording: Recording) -> None:
+def test_a_recorded_list_gives_the_recorded_actions_bit_for_bit_after_each_reset(
+    recording: Recording,
+) -> None:
     agent = fresh(recording)
     # Not because there is nothing to decide.
     assert len(np.unique(recording[2], axis=0)) > 50
@@ -63,8 +69,9 @@ def test_a_recorded_list_gives_the_recorded_actions_bit_for_bit_after_each_reset
 WITHOUT_PHYSICS = """
 import sys
 blocked = ["pymunk", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymnasium.envs.box2d",
-           "limslam_env.simulation.physics", "limslam_env.kernels.rays", "limslam_env.simulation.sensors",
-           "limslam_env.simulation.simulation", "limslam_env.envs.env", "limslam_env.worlds.world"]
+           "limslam_env.simulation.physics", "limslam_env.kernels.rays",
+           "limslam_env.simulation.sensors", "limslam_env.simulation.simulation",
+           "limslam_env.envs.env", "limslam_env.worlds.world"]
 for name in blocked:
     sys.modules[name] = None  # importing it now raises ImportError
 import numpy as np
@@ -80,7 +87,8 @@ else:
 log = np.load(sys.argv[1])
 agent = LimSlamAgent(RobotSpec(), preset("paper", NominalNoise(0.02)))
 agent.reset(log["start"])
-actions = [agent.act({"ranges": r, "wheels": w}) for r, w in zip(log["ranges"], log["wheels"], strict=True)]
+steps = zip(log["ranges"], log["wheels"], strict=True)
+actions = [agent.act({"ranges": r, "wheels": w}) for r, w in steps]
 np.save(sys.argv[2], np.array(actions))
 loaded = [name for name in blocked if sys.modules.get(name) is not None]
 raise SystemExit(f"loaded after all: {loaded}" if loaded else 0)
@@ -98,8 +106,10 @@ def test_it_acts_where_there_is_no_physics_to_import(recording: Recording, tmp_p
     )
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", WITHOUT_PHYSICS, str(log), str(answer)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert np.load(answer).tobytes() == actions.tobytes()
 
@@ -109,7 +119,10 @@ def arrays_of(snapshot: Any) -> dict[str, FloatArray]:
     arrays = {name: getattr(snapshot, name) for name in ("pose", "covariance", "segments", "plan")}
     arrays |= {"grid.values": snapshot.grid.values, "grid.low": snapshot.grid.low}
     for number, landmark in enumerate(snapshot.landmarks):
-        arrays |= {f"landmark {number} covariance": landmark.covariance, f"landmark {number} ends": landmark.ends}
+        arrays |= {
+            f"landmark {number} covariance": landmark.covariance,
+            f"landmark {number} ends": landmark.ends,
+        }
     return arrays
 
 
@@ -122,15 +135,23 @@ def after(recording: Recording, steps: int = 250) -> LimSlamAgent:
     return agent
 
 
-def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(recording: Recording) -> None:
+def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(
+    recording: Recording,
+) -> None:
     agent = after(recording)
-    snapshot, before = agent.snapshot(), {k: np.array(v) for k, v in arrays_of(agent.snapshot()).items()}
+    snapshot, before = (
+        agent.snapshot(),
+        {k: np.array(v) for k, v in arrays_of(agent.snapshot()).items()},
+    )
     for array in arrays_of(snapshot).values():
         if array.flags.writeable:
             np.add(array, 3, out=array)
     for name, array in arrays_of(agent.snapshot()).items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
-    assert np.array([agent.act(o) for o in recording[1][250:300]]).tobytes() == recording[2][250:300].tobytes()
+    assert (
+        np.array([agent.act(o) for o in recording[1][250:300]]).tobytes()
+        == recording[2][250:300].tobytes()
+    )
 
 
 class Stopper:
@@ -156,7 +177,10 @@ def test_the_policy_says_when_it_is_done_and_why(recording: Recording) -> None:
 def test_with_nowhere_to_go_it_stops_says_why_and_stands() -> None:
     # In a closet every beam reads 0.1 m while the robot turns on the spot by 20 degrees a step.
     travel = 0.5 * ROBOT.axle * np.radians(20.0)
-    seen: Observation = {"ranges": np.full(6, 0.1, dtype=np.float32), "wheels": np.float32([-travel, travel])}
+    seen: Observation = {
+        "ranges": np.full(6, 0.1, dtype=np.float32),
+        "wheels": np.float32([-travel, travel]),
+    }
     agent = LimSlamAgent(ROBOT, CONFIG)
     for _ in range(400):
         action = agent.act(seen)

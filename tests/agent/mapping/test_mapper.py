@@ -67,9 +67,12 @@ def test_odometry_is_the_composition_of_the_increments_whatever_the_slam_correct
     mapper = mapped(starts, observations)
     for number, start in enumerate(starts):
         increments = [
-            se2.arc(*se2.wheels_to_arc(each[number]["wheels"].astype(float), ROBOT.axle)) for each in observations
+            se2.arc(*se2.wheels_to_arc(each[number]["wheels"].astype(float), ROBOT.axle))
+            for each in observations
         ]
-        np.testing.assert_allclose(mapper.odometry[number], reduce(se2.compose, increments, start), atol=1e-12)
+        np.testing.assert_allclose(
+            mapper.odometry[number], reduce(se2.compose, increments, start), atol=1e-12
+        )
     assert np.abs(mapper.odometry - mapper.slam.poses).max() > 1e-3
 
 
@@ -77,7 +80,15 @@ def test_beliefs_odometry_and_grid_keep_their_moment(drive):
     start, steps = first_robot(drive)
     mapper = mapped(start, steps[:100])
     belief, odometry, grid = mapper.belief, mapper.odometry, mapper.grid
-    arrays = [belief.pose, belief.covariance, belief.ranges, belief.segments, belief.grid.values, odometry, grid.values]
+    arrays = [
+        belief.pose,
+        belief.covariance,
+        belief.ranges,
+        belief.segments,
+        belief.grid.values,
+        odometry,
+        grid.values,
+    ]
     before = [array.copy() for array in arrays]
     for observations in steps[100:]:
         mapper.step(*observations)
@@ -142,7 +153,9 @@ def test_a_refused_observation_changes_nothing(observations, drive):
 @pytest.mark.parametrize("wrong", [(np.zeros(2), np.ones(6)), None])
 def test_an_observation_that_is_no_dictionary_is_refused_in_one_line(wrong):
     mapper = Mapper(ROBOT, CONFIG)
-    with pytest.raises(TypeError, match="an observation must be a dictionary with 'wheels' and 'ranges'"):
+    with pytest.raises(
+        TypeError, match="an observation must be a dictionary with 'wheels' and 'ranges'"
+    ):
         mapper.step(wrong)
     with pytest.raises(TypeError, match="an observation must be a dictionary"):
         LineSlam(ROBOT, CONFIG).step(wrong)
@@ -151,14 +164,19 @@ def test_an_observation_that_is_no_dictionary_is_refused_in_one_line(wrong):
 @pytest.mark.parametrize("travel", [[78, 144], [0.01, -14.0]])
 def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(travel):
     mapper = Mapper(ROBOT, CONFIG)
-    words = rf"travels {max(map(abs, travel)):g} m in one step, .* 0.3 m/s for 0.1 s: wheels must be metres"
+    words = (
+        rf"travels {max(map(abs, travel)):g} m in one step, .* 0.3 m/s for 0.1 s: wheels must be "
+        r"metres"
+    )
     with pytest.raises(ValueError, match=words):
         mapper.step({"wheels": np.array(travel), "ranges": np.ones(6)})
     np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
 
 
 @pytest.mark.parametrize(("ratio", "restarts"), [(1.4, 0), (1.6, 1)])
-def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(drive, monkeypatch, ratio, restarts):
+def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(
+    drive, monkeypatch, ratio, restarts
+):
     start, steps = first_robot(drive)
     mapper, begun = mapped(start, steps[:20], preset("graph", NOISE)), []
     mapper.slam.assume(mapper.slam.sensor._replace(std=ratio * mapper.slam.sensor.std))

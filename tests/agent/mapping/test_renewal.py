@@ -29,18 +29,29 @@ def config(period):
 
 def rounds(count, seed=0):
     """Noisy observations on some rounds through a room, and the true poses (t, 3)."""
-    told, true = drive(WALLS, START, along([*CORNERS * count, CORNERS[0]]), noise=NOISE.range_std, seed=seed)
+    told, true = drive(
+        WALLS, START, along([*CORNERS * count, CORNERS[0]]), noise=NOISE.range_std, seed=seed
+    )
     generator = np.random.default_rng(seed)
     for each in told:
         travel = each["wheels"]
-        each["wheels"] = travel + np.sqrt(NOISE.wheel_variance * np.abs(travel)) * generator.standard_normal(2)
+        each["wheels"] = travel + np.sqrt(
+            NOISE.wheel_variance * np.abs(travel)
+        ) * generator.standard_normal(2)
     return told, true
 
 
 def driven(settings, told):
-    """The SLAM after a drive, its poses (t, 3) and covariances (t, 3, 3), and the steps after which it was renewed."""
+    """The SLAM after a drive, its poses (t, 3) and covariances (t, 3, 3), and the steps after which
+    it was renewed.
+    """
     slam = LineSlam(ROBOT, settings, START)
-    renewal, poses, covariances, renewed = Renewal(slam, settings, OccupancyGrid(settings.grid)), [], [], []
+    renewal, poses, covariances, renewed = (
+        Renewal(slam, settings, OccupancyGrid(settings.grid)),
+        [],
+        [],
+        [],
+    )
     for step, observation in enumerate(told):
         slam.step(observation)
         if renewal.is_possible:
@@ -65,7 +76,9 @@ def test_a_renewed_estimate_stays_accurate_and_honest(long_drive):
     error[:, 2] = se2.wrap_angle(error[:, 2])
     last = slice(-200, None)
     assert np.hypot(*error[last, :2].T).max() < 0.1
-    nees = np.einsum("ni,nij,nj->n", error[last], np.linalg.inv(covariances[last]), error[last]) / 3.0
+    nees = (
+        np.einsum("ni,nij,nj->n", error[last], np.linalg.inv(covariances[last]), error[last]) / 3.0
+    )
     assert nees.mean() < 3.0
     assert len(slam.all_landmarks) == 4
 
@@ -117,7 +130,9 @@ def test_a_team_is_never_renewed():
 
 
 def misled(told, at, off):
-    """A mapper whose filter is put at a wrong pose after a step, and the events of its search for its place."""
+    """A mapper whose filter is put at a wrong pose after a step, and the events of its search for
+    its place.
+    """
     mapper = Mapper(ROBOT, preset("graph", NOISE), START)
     for step, observation in enumerate(told):
         mapper.step(observation)
@@ -136,4 +151,6 @@ def test_a_robot_that_a_wrong_estimate_has_made_lost_is_renewed(monkeypatch):
     assert np.hypot(*(mapper.slam.pose - true[-1])[:2]) < 0.15
     begin = mapper.places.revisions[0].begin
     revised = mapper.places.revisions[0].poses
-    assert np.hypot(*(revised - true[begin : begin + len(revised)])[:, :2].T).max() < 0.15, "also the earlier poses"
+    assert np.hypot(*(revised - true[begin : begin + len(revised)])[:, :2].T).max() < 0.15, (
+        "also the earlier poses"
+    )

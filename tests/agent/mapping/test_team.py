@@ -1,4 +1,6 @@
-"""Several robots: one filter over all poses, one map, and beams on teammates that become no walls."""
+"""Several robots: one filter over all poses, one map, and beams on teammates that become no
+walls.
+"""
 
 import numpy as np
 import pytest
@@ -37,7 +39,9 @@ def test_there_must_be_one_observation_for_each_robot():
 
 def test_a_team_explores_together_without_touching():
     count = 2
-    env = LimSlamParallelEnv("env1", num_robots=count, sensor_noise=0.02, coverage_goal=None, max_cycles=None)
+    env = LimSlamParallelEnv(
+        "env1", num_robots=count, sensor_noise=0.02, coverage_goal=None, max_cycles=None
+    )
     told, infos = env.reset(seed=104)
     team = LimSlamTeam(ROBOT, preset("paper", NominalNoise(0.02)), count)
     team.reset(np.array([infos[name]["pose"] for name in team.names]))

@@ -19,7 +19,15 @@ from limslam_agent.measurements.statistics import (
     paired,
     signed_rank,
 )
-from limslam_agent.measurements.store import RESULTS, BaseStamp, Format, open_store, read_rows, read_stamp, rows_once
+from limslam_agent.measurements.store import (
+    RESULTS,
+    BaseStamp,
+    Format,
+    open_store,
+    read_rows,
+    read_stamp,
+    rows_once,
+)
 
 
 @dataclass(frozen=True)
@@ -136,7 +144,9 @@ def test_a_line_that_is_no_row_is_refused_in_one_line_with_its_number(folder, li
 def test_a_job_that_was_done_twice_is_counted_once_at_any_cost():
     again = replace(ROWS[0], cost={"job_s": 99.0})
     assert rows_once(FORM, [*ROWS, again]) == ROWS
-    with pytest.raises(ValueError, match=r"two different rows claim the same job .*: their metrics differ"):
+    with pytest.raises(
+        ValueError, match=r"two different rows claim the same job .*: their metrics differ"
+    ):
         rows_once(FORM, [*ROWS, replace(again, metrics={})])
 
 
@@ -160,7 +170,9 @@ def test_medians_and_means_by_hand():
 def test_intervals_are_those_of_scipy_up_to_the_drawing():
     values = RNG.normal(50.0, 10.0, 100)
     for ours, statistic in ((median(values), np.median), (mean(values), np.mean)):
-        theirs = stats.bootstrap((values,), statistic, method="percentile", rng=RNG).confidence_interval
+        theirs = stats.bootstrap(
+            (values,), statistic, method="percentile", rng=RNG
+        ).confidence_interval
         assert ours.value == pytest.approx(statistic(values), rel=1e-12)
         assert (ours.low, ours.high) == pytest.approx((theirs.low, theirs.high), abs=0.5)
     assert median(values) == median(values)
@@ -174,7 +186,9 @@ def test_intervals_of_the_median_hold_the_truth_about_as_often_as_they_say():
 
 def test_only_the_first_axis_is_resampled():
     # Columns that differ among themselves say nothing about other rows.
-    found = estimate(lambda drawn: drawn.mean(axis=(1, 2)), np.tile(np.linspace(0.0, 1.0, 9), (3, 1)))
+    found = estimate(
+        lambda drawn: drawn.mean(axis=(1, 2)), np.tile(np.linspace(0.0, 1.0, 9), (3, 1))
+    )
     assert found.low == pytest.approx(found.value) == found.high
 
 
@@ -205,10 +219,15 @@ def test_pairs_by_hand():
 
 def test_ratios_are_geometric_means_with_two_standard_errors():
     found = geometric_ratio([1.0, 2.0], [2.0, 2.0], 0.0)
-    # The logarithms are ln 2 and 0, so their standard deviation is ln 2 / sqrt(2), and two standard errors are ln 2.
-    assert np.allclose([found.value, found.low, found.high], [math.sqrt(2.0), math.sqrt(0.5), 2.0 * math.sqrt(2.0)])
+    # The logarithms are ln 2 and 0, so their standard deviation is ln 2 / sqrt(2), and two standard
+    # errors are ln 2.
+    assert np.allclose(
+        [found.value, found.low, found.high], [math.sqrt(2.0), math.sqrt(0.5), 2.0 * math.sqrt(2.0)]
+    )
     alone = geometric_ratio([1.0], [1.5], 0.1)
-    assert np.allclose([alone.value, alone.low, alone.high], [1.5, 1.5 * math.exp(-0.2), 1.5 * math.exp(0.2)])
+    assert np.allclose(
+        [alone.value, alone.low, alone.high], [1.5, 1.5 * math.exp(-0.2), 1.5 * math.exp(0.2)]
+    )
     assert geometric_ratio([], [], 0.1) is None
 
 

@@ -37,7 +37,14 @@ def test_the_legend_names_what_is_there_and_nothing_else():
     bare = MapPicture("bare", WALLS, [path(1.0)], [])
     assert labels(bare) == ["walls of the map, end points", "estimated path", "start", "end"]
     full = MapPicture("full", WALLS, [path(1.0)], [path(1.2)], WALLS, [path(1.1)])
-    assert labels(full)[1:] == ["estimated path", "start", "end", "path by odometry alone", "true path", "true walls"]
+    assert labels(full)[1:] == [
+        "estimated path",
+        "start",
+        "end",
+        "path by odometry alone",
+        "true path",
+        "true walls",
+    ]
 
 
 def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
@@ -46,7 +53,9 @@ def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
     assert axes.get_xlim()[0] > -2.0
     assert axes.get_ylim()[1] < 5.0
     assert "path by odometry alone, runs out of the picture" in labels(picture)
-    assert "path by odometry alone" in labels(MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=0.1)]))
+    assert "path by odometry alone" in labels(
+        MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=0.1)])
+    )
 
 
 @pytest.mark.parametrize("robots", [1, 2, 8])

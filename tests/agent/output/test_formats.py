@@ -31,19 +31,34 @@ def team_folder(tmp_path_factory):
 
 def test_the_table_of_readings_is_the_log_of_the_run(folder, tmp_path):
     run_export(folder, "--csv", "--out", tmp_path)
-    original, table = read_log(folder / "log.npz"), np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
-    assert (tmp_path / "log.csv").read_text().startswith("t,left,right,r_90,r_45,r_15,r_-15,r_-45,r_-90\n")
+    original, table = (
+        read_log(folder / "log.npz"),
+        np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1),
+    )
+    assert (
+        (tmp_path / "log.csv")
+        .read_text()
+        .startswith("t,left,right,r_90,r_45,r_15,r_-15,r_-45,r_-90\n")
+    )
     np.testing.assert_allclose(table[:, 0], original.time)
-    np.testing.assert_array_equal(table[1:, 1:3].astype(np.float32), original.wheels[1:].astype(np.float32))
+    np.testing.assert_array_equal(
+        table[1:, 1:3].astype(np.float32), original.wheels[1:].astype(np.float32)
+    )
     np.testing.assert_array_equal(table[:, 3:].astype(np.float32), original.ranges)
 
 
 def test_tables_of_poses_and_walls(folder, tmp_path):
     run_export(folder, "--csv", "--out", tmp_path)
-    done, poses = Folder(folder), np.genfromtxt(tmp_path / "trajectories.csv", delimiter=",", names=True)
+    done, poses = (
+        Folder(folder),
+        np.genfromtxt(tmp_path / "trajectories.csv", delimiter=",", names=True),
+    )
     np.testing.assert_allclose(poses["estimated_x"], done.poses("est")[:, 0])
     np.testing.assert_allclose(
-        poses["smoothed_std_theta"] ** 2, done.covariances("smoothed")[:, 2, 2], rtol=1e-6, atol=1e-12
+        poses["smoothed_std_theta"] ** 2,
+        done.covariances("smoothed")[:, 2, 2],
+        rtol=1e-6,
+        atol=1e-12,
     )
     walls = np.loadtxt(tmp_path / "walls.csv", delimiter=",", skiprows=1, ndmin=2)
     np.testing.assert_allclose(walls, done.segments, rtol=1e-8)
@@ -55,10 +70,15 @@ def test_dxf_is_read_by_ezdxf(folder, tmp_path):
     drawing, done = ezdxf.readfile(tmp_path / "map.dxf"), Folder(folder)
     assert drawing.units == ezdxf.units.M
     assert not drawing.audit().has_errors
-    walls = [[*line.dxf.start.vec2, *line.dxf.end.vec2] for line in drawing.modelspace().query('LINE[layer=="walls"]')]
+    walls = [
+        [*line.dxf.start.vec2, *line.dxf.end.vec2]
+        for line in drawing.modelspace().query('LINE[layer=="walls"]')
+    ]
     np.testing.assert_allclose(walls, done.segments)
     path = drawing.modelspace().query('LWPOLYLINE[layer=="path_smoothed"]').first
-    np.testing.assert_allclose([point[:2] for point in path.get_points()], done.poses("smoothed")[:, :2])
+    np.testing.assert_allclose(
+        [point[:2] for point in path.get_points()], done.poses("smoothed")[:, :2]
+    )
 
 
 def test_a_bag_is_replayed_as_the_run(folder, tmp_path):
@@ -71,7 +91,9 @@ def test_a_bag_is_replayed_as_the_run(folder, tmp_path):
     np.testing.assert_allclose(replayed.ranges[:, by_angle], original.ranges[:, ours], atol=1e-6)
     for seen, true in zip(by_angle, ours, strict=True):
         beam, wanted = replayed.robot.beams[seen], original.robot.beams[true]
-        assert (beam.x, beam.y, beam.angle) == pytest.approx((wanted.x, wanted.y, wanted.angle), abs=1e-9)
+        assert (beam.x, beam.y, beam.angle) == pytest.approx(
+            (wanted.x, wanted.y, wanted.angle), abs=1e-9
+        )
 
 
 def test_mcap_is_read_by_its_own_library(folder, tmp_path):
@@ -82,10 +104,14 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
     run_export(folder, "--bag", "--out", tmp_path)
     done, heard = Folder(folder), {}
     with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
-        for _, channel, _, message in make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+        for _, channel, _, message in make_reader(
+            file, decoder_factories=[DecoderFactory()]
+        ).iter_decoded_messages():
             heard.setdefault(channel.topic, []).append(message)
     poses = heard["/pose"]
-    np.testing.assert_allclose([pose.pose.pose.position.x for pose in poses], done.poses("est")[:, 0])
+    np.testing.assert_allclose(
+        [pose.pose.pose.position.x for pose in poses], done.poses("est")[:, 0]
+    )
     covariance = np.reshape(poses[-1].pose.covariance, (6, 6))[np.ix_((0, 1, 5), (0, 1, 5))]
     np.testing.assert_allclose(covariance, done.covariances()[-1])
     ends = [(point.x, point.y) for point in heard["/walls"][0].markers[0].points]
@@ -97,13 +123,19 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
     assert set(np.unique(cells)) == {-1, 0, 100}
     # The chain of frames leads from the map to the estimate.
     to_odom, to_base = heard["/tf"][-1].transforms
-    assert (to_odom.header.frame_id, to_odom.child_frame_id, to_base.child_frame_id) == ("map", "odom", "base_link")
+    assert (to_odom.header.frame_id, to_odom.child_frame_id, to_base.child_frame_id) == (
+        "map",
+        "odom",
+        "base_link",
+    )
 
 
 def test_each_robot_of_a_team_has_tables_and_topics_of_its_own(team_folder, tmp_path):
     pytest.importorskip("rosbags")
     written = run_export(team_folder, "--csv", "--dxf", "--bag", "--out", tmp_path)
-    assert {"log_0.csv", "log_1.csv", "trajectories_1.csv"} <= {path.rpartition("/")[2] for path in written}
+    assert {"log_0.csv", "log_1.csv", "trajectories_1.csv"} <= {
+        path.rpartition("/")[2] for path in written
+    }
     original = np.load(team_folder / "log.npz")["ranges"]
     log = np.loadtxt(tmp_path / "log_1.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(log[:, 3:].astype(np.float32), original[:, 1])
@@ -112,7 +144,9 @@ def test_each_robot_of_a_team_has_tables_and_topics_of_its_own(team_folder, tmp_
 
 
 def test_a_folder_without_readings_gives_the_rest(folder, tmp_path):
-    bare = shutil.copytree(folder, tmp_path / "bare", ignore=shutil.ignore_patterns("log.npz", "map.yaml"))
+    bare = shutil.copytree(
+        folder, tmp_path / "bare", ignore=shutil.ignore_patterns("log.npz", "map.yaml")
+    )
     written = run_export(bare, "--csv", "--bag")
     assert [path.rpartition("/")[2] for path in written] == ["walls.csv", "trajectories.csv", "bag"]
     assert (bare / "export" / "bag" / "metadata.yaml").is_file()
@@ -133,7 +167,9 @@ class TestRefusals:
         ("option", "package", "extra"),
         [("--dxf", "ezdxf", "export"), ("--bag", "rosbags", "ros")],
     )
-    def test_a_missing_package_is_named(self, folder, tmp_path, monkeypatch, option, package, extra):
+    def test_a_missing_package_is_named(
+        self, folder, tmp_path, monkeypatch, option, package, extra
+    ):
         for name in [name for name in sys.modules if name.partition(".")[0] == package]:
             monkeypatch.delitem(sys.modules, name)
         monkeypatch.setitem(sys.modules, package, None)

@@ -1,4 +1,6 @@
-"""The folder of a run: one process at a time, nothing lost, nothing half-written, nothing left behind."""
+"""The folder of a run: one process at a time, nothing lost, nothing half-written, nothing left
+behind.
+"""
 
 import errno
 import os
@@ -33,12 +35,18 @@ for name in ("mkdir", "rmdir", "rename", "replace", "unlink", "fsync"):
 
 
 def dies_at_call(number: int, code: str, cwd: Path) -> bool:
-    """Run code that is killed just before its n-th change of the file system. Whether there was such a call."""
+    """Run code that is killed just before its n-th change of the file system. Whether there was
+    such a call.
+    """
     program = _PRELUDE.format(number=number) + code
     ended = subprocess.run(
-        [sys.executable, "-c", program], cwd=cwd, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [sys.executable, "-c", program],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert ended.returncode in {0, -9}, ended.stderr
     return ended.returncode == -9
 
@@ -96,7 +104,10 @@ def whole(words: str) -> dict[str, str]:
 
 def test_a_second_process_is_refused_at_its_start(tmp_path):
     with new_folder(tmp_path / "run") as folder:
-        with pytest.raises(ClaimedError, match="run: another process is writing there"), new_folder(tmp_path / "run"):
+        with (
+            pytest.raises(ClaimedError, match="run: another process is writing there"),
+            new_folder(tmp_path / "run"),
+        ):
             pytest.fail("the place was claimed twice")
         fill(folder.beside, "first")
     assert texts(tmp_path / "run") == whole("first")
@@ -104,7 +115,10 @@ def test_a_second_process_is_refused_at_its_start(tmp_path):
 
 
 def test_with_the_default_name_both_results_survive(tmp_path):
-    with new_folder(tmp_path / "run", numbered=True) as first, new_folder(tmp_path / "run", numbered=True) as second:
+    with (
+        new_folder(tmp_path / "run", numbered=True) as first,
+        new_folder(tmp_path / "run", numbered=True) as second,
+    ):
         fill(first.beside, "first")
         fill(second.beside, "second")
     assert texts(first.target) == whole("first")
@@ -197,12 +211,22 @@ def test_only_what_dead_processes_left_is_removed_at_the_next_start(tmp_path):
     (tmp_path / ".dead.limslam-new").mkdir()
     (tmp_path / ".bashrc").touch()
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD], cwd=tmp_path, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    ) as live:  # fmt: skip
+        [sys.executable, "-c", HOLD],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as live:
         assert live.stdout.readline() == "ready\n"
         write(tmp_path / "next", "new")
-        assert names(tmp_path) == [".bashrc", ".run.limslam-lock", ".run.limslam-new", "dead", "next"]
+        assert names(tmp_path) == [
+            ".bashrc",
+            ".run.limslam-lock",
+            ".run.limslam-new",
+            "dead",
+            "next",
+        ]
         assert texts(tmp_path / "dead") == whole("old")
         live.send_signal(signal.SIGKILL)
     write(tmp_path / "next", "newer", force=True)

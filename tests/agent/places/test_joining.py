@@ -1,4 +1,6 @@
-"""Two robots with unknown relative starts join when their maps fit together in one place only, and else stay apart."""
+"""Two robots with unknown relative starts join when their maps fit together in one place only, and
+else stay apart.
+"""
 
 import json
 from dataclasses import replace
@@ -25,13 +27,17 @@ HERE = np.zeros(3)
 
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=115.0))
+    return run_episode(
+        RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=115.0)
+    )
 
 
 @pytest.fixture(scope="module")
 def early():
     """A run that ends before the maps overlap."""
-    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=6.0))
+    return run_episode(
+        RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=6.0)
+    )
 
 
 def observations_of(episode, step):
@@ -49,10 +55,13 @@ def test_two_robots_become_a_team(episode):
     before = slice(event["step"])
     assert (episode.levels[before, 1] == 1).all()
     assert (episode.levels[before, 0] == 0).mean() > 0.9
-    # The start of the second robot is uncertain in the shared frame, and its error is as large as it says.
+    # The start of the second robot is uncertain in the shared frame, and its error is as large as
+    # it says.
     start, covariance = np.array(event["start"]) - episode.true[0, 1], episode.covariances[0, 1]
     start[2] = se2.wrap_angle(start[2])
-    assert start @ np.linalg.solve(covariance, start) < 16.3, "the 99.9 % limit of three degrees of freedom"
+    assert start @ np.linalg.solve(covariance, start) < 16.3, (
+        "the 99.9 % limit of three degrees of freedom"
+    )
     np.testing.assert_allclose(episode.odometry[0, 1], event["start"], atol=1e-9)
 
 
@@ -73,7 +82,9 @@ def test_a_joining_to_which_something_objects_is_taken_back(episode, monkeypatch
     np.testing.assert_array_equal(mapper.earlier.poses[-1], mapper.poses)
     np.testing.assert_allclose(mapper.earlier.odometry[-1], mapper.odometry, atol=1e-9)
     # Each robot has the map that it makes by itself.
-    alone = Mapper(RobotSpec(), replace(preset("graph", NominalNoise(NOISE)), free_space_counts=False), HERE)
+    alone = Mapper(
+        RobotSpec(), replace(preset("graph", NominalNoise(NOISE)), free_space_counts=False), HERE
+    )
     for number in range(step + 1):
         alone.step(observations_of(episode, number)[1])
     np.testing.assert_array_equal(mapper.poses[1], alone.slam.pose)
@@ -108,7 +119,9 @@ def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
 
 
 def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
-    met = run_episode(RunConfig("env2", NOISE, seed=9302, robots=2, unknown_starts=True, max_time=52.0))
+    met = run_episode(
+        RunConfig("env2", NOISE, seed=9302, robots=2, unknown_starts=True, max_time=52.0)
+    )
     assert not met.is_joined
     assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
     assert met.levels[:, 0].max() < LEVELS.index("lost")
@@ -117,7 +130,9 @@ def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
 def test_a_team_with_unknown_starts_is_two_robots():
     with pytest.raises(ValueError, match="two robots"):
         LimSlamTeam(RobotSpec(), num_robots=3, unknown_starts=True)
-    empty = SavedMap(np.zeros((0, 4)), [], GridView(np.zeros(2), 0.1, np.zeros((1, 1), dtype=np.int16)))
+    empty = SavedMap(
+        np.zeros((0, 4)), [], GridView(np.zeros(2), 0.1, np.zeros((1, 1), dtype=np.int16))
+    )
     with pytest.raises(ValueError, match="without the map"):
         LimSlamTeam(RobotSpec(), num_robots=2, prior_map=empty, unknown_starts=True)
     mapper = JoiningMapper(RobotSpec())

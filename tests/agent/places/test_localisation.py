@@ -1,4 +1,6 @@
-"""Where a robot is by its readings: searches in a known map, and what moves with a place that is found."""
+"""Where a robot is by its readings: searches in a known map, and what moves with a place that is
+found.
+"""
 
 from dataclasses import replace
 
@@ -52,7 +54,9 @@ def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
 
 def test_a_drive_with_wide_and_biased_beams_is_placed_by_the_sensor_that_was_found():
     wide = RangeSensor(STD, cone=0.2, bias=0.08)
-    place = known([[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]], HALL)
+    place = known(
+        [[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]], HALL
+    )
     rays = rays_of(drive(PART, HALL, sensor=wide), ROBOT, wide)
     (as_stated,) = place.weigh(np.zeros((1, 3)), rays)
     place.sensor = wide
@@ -71,20 +75,28 @@ def test_a_building_that_looks_the_same_after_a_turn_is_ambiguous():
 
 
 def test_ground_that_the_map_does_not_have_is_refused(whole):
-    elsewhere = np.array([[0, 0, 2.2, 0.5], [2.2, 0.5, 1.8, 4], [1.8, 4, 0.2, 3.8], [0.2, 3.8, 0, 0]], dtype=float)
+    elsewhere = np.array(
+        [[0, 0, 2.2, 0.5], [2.2, 0.5, 1.8, 4], [1.8, 4, 0.2, 3.8], [0.2, 3.8, 0, 0]], dtype=float
+    )
     found = localise(whole, rays_of(drive([[1.0, 0.8], [1.0, 3.4]], elsewhere), ROBOT))
     assert not found.is_accepted
     assert found.fit.is_on_map < DECIDED
 
 
 def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
-    """A corridor of 1 m is drawn 2 % wider or narrower with each metre, and is 1 m wide a metre ahead."""
+    """A corridor of 1 m is drawn 2 % wider or narrower with each metre, and is 1 m wide a metre
+    ahead.
+    """
     corridor = np.array([[0.0, 0.0, 20.0, 0.0], [0.0, 1.0, 20.0, 1.0]])
     rays = rays_of(drive([[5.0, 0.5], [8.0, 0.5]], corridor), ROBOT)
     drawn = np.array([[0.0, 0.075, 20.0, -0.125], [0.0, 0.925, 20.0, 1.125]])
-    place = KnownPlaces(drawn, GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD))
+    place = KnownPlaces(
+        drawn, GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD)
+    )
     (found,) = place.refined(np.array([[0.0, 0.06, 0.02]]), rays)
-    middle = se2.transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(axis=0)
+    middle = se2.transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(
+        axis=0
+    )
     assert abs(middle[0]) < 0.3
     assert abs(middle[1]) < 0.01
     assert abs(found[2]) < 0.01
@@ -97,8 +109,12 @@ def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(who
     near = PlaceFit(np.zeros(3), 0.6 * alone.fit.evidence, 3, 90)
     found = localise(whole, rays, far=FAR_SHARE, near=[near])
     assert found.fit is near
-    assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
-    assert not localise(whole, rays, far=FAR_SHARE, near=[replace(near, contradictions=6)]).is_accepted
+    assert found.is_accepted, (
+        "contradictions need only not speak against a place near the believed one"
+    )
+    assert not localise(
+        whole, rays, far=FAR_SHARE, near=[replace(near, contradictions=6)]
+    ).is_accepted
 
 
 def test_two_searches_agree_on_one_place_only(whole):
@@ -118,7 +134,9 @@ def test_two_searches_agree_on_one_place_only(whole):
 
 def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
     nothing = KnownPlaces(
-        np.zeros((0, 4)), GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD)
+        np.zeros((0, 4)),
+        GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)),
+        RangeSensor(STD),
     )
     rays = rays_of(drive(PART, HALL), ROBOT)
     for found in (localise(nothing, rays), localise(whole, rays[:0])):
@@ -129,8 +147,12 @@ def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
 def test_readings_that_say_nothing_have_no_ray():
     steps = drive([[1.0, 0.7], [1.2, 0.7]], HALL)[:6]
     unsaid = np.array([np.nan, 0.0, *steps[0].ranges[2:]])
-    assert not len(rays_of([step._replace(ranges=np.full_like(unsaid, np.nan)) for step in steps], ROBOT))
-    assert len(rays_of([step._replace(ranges=unsaid) for step in steps], ROBOT)) < len(rays_of(steps, ROBOT))
+    assert not len(
+        rays_of([step._replace(ranges=np.full_like(unsaid, np.nan)) for step in steps], ROBOT)
+    )
+    assert len(rays_of([step._replace(ranges=unsaid) for step in steps], ROBOT)) < len(
+        rays_of(steps, ROBOT)
+    )
     # One reading of the longest range may be a dropout of the sensor.
     missed = steps[2]._replace(ranges=np.array(ROBOT.max_ranges))
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
@@ -153,8 +175,12 @@ def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
             for kind, along in ((0, lengths), (1, inner), (1, 0.5 * inner)):
                 ends = rays[:, :RAY_TO_X] - middle + along[:, None] * rays[:, RAY_TO_X:RAY_LENGTH]
                 points = se2.transform_points(np.array([0.0, 0.0, turn]), ends)
-                column, row = (2 * np.array(place)[::-1] + np.floor(points / 0.05 + 0.5)).astype(int).T
-                inside = (row >= 0) & (row < cells.shape[1]) & (column >= 0) & (column < cells.shape[2])
+                column, row = (
+                    (2 * np.array(place)[::-1] + np.floor(points / 0.05 + 0.5)).astype(int).T
+                )
+                inside = (
+                    (row >= 0) & (row < cells.shape[1]) & (column >= 0) & (column < cells.shape[2])
+                )
                 inside &= ended | (kind == 1)
                 total += cells[kind, row[inside], column[inside]].sum()
             assert scores[(number, *place)] == pytest.approx(total, abs=1e-3)
@@ -169,31 +195,43 @@ AWAY = np.array([[8, 0, 8, 3], [8, 3, 12, 3], [12, 3, 12, 0]], dtype=float)
 def walls_of(segments):
     """Lines (m, 2) about the middles of walls, these middles, and the walls with their extents."""
     middles, walls = 0.5 * (segments[:, :2] + segments[:, 2:]), []
-    lines = np.column_stack((np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1])))
+    lines = np.column_stack(
+        (np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1]))
+    )
     lines[:, 1] -= 0.5 * np.pi
     for number, (segment, line, middle) in enumerate(zip(segments, lines, middles, strict=True)):
         walls.append(
             wall_along(
-                number, (segment_geometry.sample(segment[None], 0.05)[0] - middle) @ line_geometry.direction(line)
+                number,
+                (segment_geometry.sample(segment[None], 0.05)[0] - middle)
+                @ line_geometry.direction(line),
             )
         )
     return lines, middles, walls
 
 
 def drifted(stds, world=0.0):
-    """A room that is known, another one that was seen after a drift, and the robot, which is back in the first room.
+    """A room that is known, another one that was seen after a drift, and the robot, which is back
+    in the first room.
 
-    The standard deviations (3,) of the drift are stated, and that of the direction of the whole world.
+    The standard deviations (3,) of the drift are stated, and that of the direction of the whole
+    world.
     """
     lines, middles, walls = walls_of(np.concatenate((NEAR, AWAY)))
     place = POSE + DRIFT
     by_drift = np.vstack((np.eye(3), lines_moved_with(tuple(place[:2]), lines, middles)))
     by_drift[3 : 3 + 2 * len(NEAR)] = 0.0
     wrong = middles.copy()
-    wrong[len(NEAR) :] = se2.transform_points(DRIFT * [0, 0, 1], middles[len(NEAR) :] - POSE[:2]) + place[:2]
+    wrong[len(NEAR) :] = (
+        se2.transform_points(DRIFT * [0, 0, 1], middles[len(NEAR) :] - POSE[:2]) + place[:2]
+    )
     lines[len(NEAR) :, 1] += DRIFT[2]
-    by_world = np.vstack((poses_moved_with((0.0, 0.0), place[None]), lines_moved_with((0.0, 0.0), lines, wrong)))[:, 2]
-    covariance = by_drift @ np.diag(np.square(stds)) @ by_drift.T + world**2 * np.outer(by_world, by_world)
+    by_world = np.vstack(
+        (poses_moved_with((0.0, 0.0), place[None]), lines_moved_with((0.0, 0.0), lines, wrong))
+    )[:, 2]
+    covariance = by_drift @ np.diag(np.square(stds)) @ by_drift.T + world**2 * np.outer(
+        by_world, by_world
+    )
     return MapState(place, lines, wrong, covariance + 1e-8 * np.eye(len(covariance)), walls)
 
 
@@ -220,10 +258,15 @@ def test_a_loop_says_nothing_of_the_direction_of_the_world():
 
 
 def test_a_pose_that_the_covariance_does_not_explain_closes_no_loop():
-    assert drifted([0.2, 0.2, 0.02]).closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0]) is None
-    assert drifted([1.0, 1.0, 0.1]).closed(POSE, MATCH, segment_geometry.sample(NEAR[:1], 0.1)[0][5:-5]) is None, (
-        "one wall determines no pose"
+    assert (
+        drifted([0.2, 0.2, 0.02]).closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0]) is None
     )
+    assert (
+        drifted([1.0, 1.0, 0.1]).closed(
+            POSE, MATCH, segment_geometry.sample(NEAR[:1], 0.1)[0][5:-5]
+        )
+        is None
+    ), "one wall determines no pose"
 
 
 def test_cells_move_with_the_nearest_wall():
@@ -265,7 +308,8 @@ def test_a_placed_robot_moves_with_the_walls_that_it_was_matched_with():
     ekf.relocate(POSE, MATCH, by_lines=by_lines)
     np.testing.assert_array_equal(ekf.pose, POSE)
     np.testing.assert_allclose(ekf.joint_pose_covariance, WORLD + MATCH, atol=1e-5)
-    # A later correction moves the right wall by 0.5 m. The robot follows, and is known as well as its match then.
+    # A later correction moves the right wall by 0.5 m. The robot follows, and is known as well as
+    # its match then.
     gain = ekf.P[:, 5] / (ekf.P[5, 5] + 1e-8)
     ekf.x[:] += 0.5 * gain
     ekf.P[:] -= np.outer(gain, ekf.P[5])

@@ -1,4 +1,6 @@
-"""A robot that is carried away in the middle of an exploration goes on in a local frame and finds its place again."""
+"""A robot that is carried away in the middle of an exploration goes on in a local frame and finds
+its place again.
+"""
 
 import json
 from dataclasses import replace
@@ -30,7 +32,9 @@ LOST, UNSURE = 2, 1
 
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(RunConfig("env3", NOISE, seed=115, kidnap_at=KIDNAPPED, max_time=130.0, until="walls"))
+    return run_episode(
+        RunConfig("env3", NOISE, seed=115, kidnap_at=KIDNAPPED, max_time=130.0, until="walls")
+    )
 
 
 def errors(poses, true):
@@ -46,7 +50,8 @@ def test_a_kidnapped_robot_finds_its_place(episode):
     np.testing.assert_array_equal(level[found : found + 20], UNSURE)
     off = errors(episode.estimated, episode.true)
     assert off[lost[0] : found].min() > 0.5
-    # The pose was up to 0.13 m and 6 degrees off before that. The map is bent there, and the place is one in this map.
+    # The pose was up to 0.13 m and 6 degrees off before that. The map is bent there, and the place
+    # is one in this map.
     assert off[found] < 0.2
     assert off[found:].max() < off[:carried].max() < 0.4
     turned = np.abs(se2.wrap_angle((episode.estimated - episode.true)[:, 0, 2]))
@@ -107,31 +112,49 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monk
 
 def test_a_world_without_another_place_is_refused(tmp_path):
     path = tmp_path / "cell.toml"
-    path.write_text('name = "cell"\nsize = [1, 1]\nwalls = [[0,0,1,0],[1,0,1,1],[1,1,0,1],[0,1,0,0]]\n')
+    path.write_text(
+        'name = "cell"\nsize = [1, 1]\nwalls = [[0,0,1,0],[1,0,1,1],[1,1,0,1],[0,1,0,0]]\n'
+    )
     with pytest.raises(ValueError, match="no free place"):
         run_episode(RunConfig(path, NOISE, kidnap_at=0.1, max_time=1.0))
 
 
 def test_a_carried_robot_came_to_where_it_was_found_and_one_that_has_slipped_is_near():
     wheels, ranges = np.full((5, 1, 2), 0.1), np.full((5, 1, 6), 2.0)
-    poses = np.array([[0.1 * x, 0.0, 0.0] for x in range(3)] + [[2.0, 3.0, 2.9], [2.0, 3.1, 2.9]])[:, None]
+    poses = np.array([[0.1 * x, 0.0, 0.0] for x in range(3)] + [[2.0, 3.0, 2.9], [2.0, 3.1, 2.9]])[
+        :, None
+    ]
     certain, robot, noise = np.zeros((5, 1, 3, 3)), RobotSpec(), NominalNoise(NOISE)
-    run = FilteredRun(robot, noise, wheels, ranges, np.isfinite(ranges), poses, certain, [], [], breaks=((0, 3),))
+    run = FilteredRun(
+        robot, noise, wheels, ranges, np.isfinite(ranges), poses, certain, [], [], breaks=((0, 3),)
+    )
     problem = make_problem(robot, noise, np.zeros((1, 3)), wheels, ranges)
     broken = with_breaks(problem, run)
-    np.testing.assert_array_equal(np.delete(broken.wheels, 2, axis=1), np.delete(problem.wheels, 2, axis=1))
+    np.testing.assert_array_equal(
+        np.delete(broken.wheels, 2, axis=1), np.delete(problem.wheels, 2, axis=1)
+    )
     np.testing.assert_allclose(state_from_motions(broken).poses[0, :4], poses[:4, 0], atol=1e-9)
     # The size of the wheels does not change how far the robot was carried.
     larger = np.array([[0.03, -0.03, 0.0, 0.0]])
     np.testing.assert_array_equal(broken.motions(larger)[0, 2], broken.motions(0.0 * larger)[0, 2])
-    # Its heading is free by 10 degrees after the part in which it may have slipped, and as certain as before elsewhere.
+    # Its heading is free by 10 degrees after the part in which it may have slipped, and as certain
+    # as before elsewhere.
     slipped = with_slips(problem, replace(run, slips=((0, 2, 4),)))
-    variances = [np.linalg.inv(root.T @ root)[:2, :2] for each in (slipped, problem) for root in each.roots[0]]
+    variances = [
+        np.linalg.inv(root.T @ root)[:2, :2]
+        for each in (slipped, problem)
+        for root in each.roots[0]
+    ]
     turning = np.array([1.0, -1.0]) / robot.axle
     added = np.array(
-        [turning @ (after - before) @ turning for after, before in zip(variances[:4], variances[4:], strict=True)]
+        [
+            turning @ (after - before) @ turning
+            for after, before in zip(variances[:4], variances[4:], strict=True)
+        ]
     )
-    np.testing.assert_allclose(added, np.radians(10.0) ** 2 * np.array([0.0, 0.5, 0.5, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(
+        added, np.radians(10.0) ** 2 * np.array([0.0, 0.5, 0.5, 0.0]), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(("step", "turn"), [(400, 14.0), (700, -14.0)])
@@ -143,7 +166,11 @@ def test_a_robot_that_has_slipped_goes_on_near_by(step, turn):
     mapper, off = Mapper(ROBOT, preset("graph", NominalNoise(NOISE))), []
     for number, seen in enumerate(observations[: step + 200]):
         slip = 0.5 * ROBOT.axle * np.radians(turn) * np.array([1.0, -1.0]) * (number == step)
-        noise = np.where(seen["ranges"] < ROBOT.max_ranges, NOISE * generator.standard_normal(len(ROBOT.beams)), 0.0)
+        noise = np.where(
+            seen["ranges"] < ROBOT.max_ranges,
+            NOISE * generator.standard_normal(len(ROBOT.beams)),
+            0.0,
+        )
         mapper.step({"ranges": seen["ranges"] + noise, "wheels": seen["wheels"] + slip})
         off.append(mapper.poses[0] - true[number])
     assert abs(se2.wrap_angle(off[step][2])) > np.radians(10.0)
@@ -187,11 +214,17 @@ def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode,
 
 def test_a_robot_that_is_carried_while_it_is_lost_may_have_been_carried_before_that():
     config = preset("graph", NominalNoise(NOISE))
-    slam, grid, recovery = LineSlam(ROBOT, config), OccupancyGrid(config.grid), Recovery(ROBOT, config)
+    slam, grid, recovery = (
+        LineSlam(ROBOT, config),
+        OccupancyGrid(config.grid),
+        Recovery(ROBOT, config),
+    )
     for _ in range(5):
         recovery.note(Sight(np.zeros(3), ROBOT.max_ranges), slam, grid)
     recovery.lose(Loss(CARRIED, 1), 0.0, slam, grid)
     assert not recovery.absence.was_moved
     recovery.lose(Loss(CARRIED, 0, is_carried=True), 0.0, slam, grid)
     assert recovery.absence.was_moved
-    assert not recovery.absence.loss.is_dated, "the readings did not say in which step it was lost at first"
+    assert not recovery.absence.loss.is_dated, (
+        "the readings did not say in which step it was lost at first"
+    )

@@ -20,17 +20,28 @@ NOISE = 0.02
 
 
 def map_of(world):
-    """A map as an earlier run would have left it: all walls, and the ground that a robot can reach."""
+    """A map as an earlier run would have left it: all walls, and the ground that a robot can
+    reach.
+    """
     segments, marks = world.edges, []
     for number, (x1, y1, x2, y2) in enumerate(segments):
         theta = np.arctan2(x1 - x2, y2 - y1)
         r = x1 * np.cos(theta) + y1 * np.sin(theta)
         r, theta = (r, theta) if r >= 0.0 else (-r, float(se2.wrap_angle(theta + np.pi)))
         ends = np.array([[x1, y1], [x2, y2]])
-        marks.append(Landmark(float(r), float(theta), np.diag([1e-4, 1e-5]), ends, 9, number, (number,)))
-    low, high = np.floor(segments.reshape(-1, 2).min(axis=0) / 0.1), np.ceil(segments.reshape(-1, 2).max(axis=0) / 0.1)
+        marks.append(
+            Landmark(float(r), float(theta), np.diag([1e-4, 1e-5]), ends, 9, number, (number,))
+        )
+    low, high = (
+        np.floor(segments.reshape(-1, 2).min(axis=0) / 0.1),
+        np.ceil(segments.reshape(-1, 2).max(axis=0) / 0.1),
+    )
     columns, rows = (high - low).astype(int)
-    centres = 0.1 * (low + 0.5 + np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2))
+    centres = 0.1 * (
+        low
+        + 0.5
+        + np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).reshape(-1, 2)
+    )
     reached = world.free_space(0.1)
     spaces = reached.centres(reached.region_of(world.starts[0][:2]))
     free = np.array([np.hypot(*(spaces - centre).T).min() < 0.2 for centre in centres])
@@ -48,7 +59,9 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def episode(folder):
-    return run_episode(RunConfig("env3", NOISE, seed=130, prior_map=folder, max_time=60.0, until="seen"))
+    return run_episode(
+        RunConfig("env3", NOISE, seed=130, prior_map=folder, max_time=60.0, until="seen")
+    )
 
 
 def test_a_map_is_read_as_it_was_written(folder):
@@ -85,7 +98,15 @@ def test_the_walls_of_both_runs_are_one_map(episode):
 def test_another_building_does_not_fit(folder):
     settings = preset("graph", NominalNoise(NOISE))
     episode = run_episode(
-        RunConfig("env2", NOISE, seed=130, prior_map=folder, max_time=30.0, until="seen", settings=settings)
+        RunConfig(
+            "env2",
+            NOISE,
+            seed=130,
+            prior_map=folder,
+            max_time=30.0,
+            until="seen",
+            settings=settings,
+        )
     )
     assert not episode.in_prior_map
     (event,) = episode.places.records
@@ -93,7 +114,14 @@ def test_another_building_does_not_fit(folder):
     own = se2.transform_points(se2.inverse(episode.true[0, 0]), episode.true[:, 0, :2])
     assert np.hypot(*(episode.estimated[:, 0, :2] - own).T).max() < 0.3
     scores = score(episode)
-    in_two_frames = ("ate_m", "anees", "ate_smoothed_m", "wall_f1", "wall_recall_online", "coverage_correct")
+    in_two_frames = (
+        "ate_m",
+        "anees",
+        "ate_smoothed_m",
+        "wall_f1",
+        "wall_recall_online",
+        "coverage_correct",
+    )
     assert {scores[name] for name in in_two_frames} == {None}
     assert scores["wall_f1_aligned"] > 0.2
     assert [line for line in run_summary(scores, {}) if " m rms" in line] == [

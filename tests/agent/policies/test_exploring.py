@@ -1,4 +1,6 @@
-"""Policies that explore: to frontiers, along walls until they are whole, at random, and of one's own."""
+"""Policies that explore: to frontiers, along walls until they are whole, at random, and of one's
+own.
+"""
 
 import math
 from dataclasses import replace
@@ -72,17 +74,23 @@ def test_in_a_map_that_was_moved_it_knows_what_it_has_given_up(kind) -> None:
     assert policy.stop_reason is not None
     assert again < first / 10, "the frontier that was not reached is not tried again"
     policy.act(other)
-    assert len(actions_until_stopped(policy, other)) > first / 2, "in another map, nothing is known of it"
+    assert len(actions_until_stopped(policy, other)) > first / 2, (
+        "in another map, nothing is known of it"
+    )
 
 
 def test_a_frontier_that_no_way_leads_to_is_named() -> None:
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions_until_stopped(policy, belief_of(place(4, 4), CUT_OFF))
-    assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (1.8, 0.5)"
+    assert (
+        policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (1.8, 0.5)"
+    )
 
 
 def test_free_cells_behind_a_wall_without_room_for_the_robot_are_no_frontier_that_is_left() -> None:
-    behind = grid_of("#" * 14, *["#" + "." * 10 + "#??"] * 3, *["#" + "." * 10 + "#.."] * 3, "#" * 14)
+    behind = grid_of(
+        "#" * 14, *["#" + "." * 10 + "#??"] * 3, *["#" + "." * 10 + "#.."] * 3, "#" * 14
+    )
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions_until_stopped(policy, belief_of(place(4, 4), behind))
     assert policy.stop_reason == "explored: no frontier is left"
@@ -91,14 +99,18 @@ def test_free_cells_behind_a_wall_without_room_for_the_robot_are_no_frontier_tha
 def test_a_frontier_in_whose_way_something_stands_is_left() -> None:
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions = actions_until_stopped(policy, belief_of(place(3, 3), CORRIDOR, BLOCKED))
-    assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
+    assert (
+        policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
+    )
     assert 3 * PATIENCE < len(actions) < 4 * PATIENCE
 
 
 @pytest.mark.parametrize("width", [0.40, 0.60])
 def test_narrow_corridors_are_explored_to_their_end(width: float) -> None:
     corners = [(0.0, 0.0), (4.0, 0.0), (4.0, width), (0.0, width)]
-    walls = np.array([(*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)])
+    walls = np.array(
+        [(*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)]
+    )
     world = World("corridor", (4.0, width), walls, starts=np.array([[0.3, 0.5 * width, 0.0]]))
     policy = FrontierPolicy(ROBOT, CONFIG)
     coverage, contacts = explored(world, policy, 120.0, 103)
@@ -138,7 +150,9 @@ COLUMNS, ROWS = 30, 24
 _VALUES = np.full((ROWS + 2, COLUMNS + 2), -4, dtype=np.int16)
 _VALUES[1:-1, 1:-1] = 2
 ROOM = GridView(np.full(2, -CELL), CELL, _VALUES)
-WALLS = np.array([[0.0, 0.0, 3.0, 0.0], [3.0, 0.0, 3.0, 2.4], [3.0, 2.4, 0.0, 2.4], [0.0, 2.4, 0.0, 0.0]])
+WALLS = np.array(
+    [[0.0, 0.0, 3.0, 0.0], [3.0, 0.0, 3.0, 2.4], [3.0, 2.4, 0.0, 2.4], [0.0, 2.4, 0.0, 0.0]]
+)
 
 
 def with_gap(side: int, start: float, length: float) -> FloatArray:
@@ -167,7 +181,9 @@ def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
     length=st.floats(0.35, 0.8),
     place=st.tuples(st.floats(0.3, 2.7), st.floats(0.3, 2.1)),
 )
-def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, start, length, place) -> None:
+def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(
+    side, start, length, place
+) -> None:
     walls = with_gap(side, start, length)
     belief = belief_at([*place, 0.0], walls)
     border = open_border(belief, [])
@@ -209,7 +225,11 @@ def test_a_sweep_lets_a_beam_pass_over_the_whole_stretch(heading, count, away) -
     headings = np.linspace(sweep.start, sweep.end, 400)
     pointing = headings[:, None] + ROBOT.beam_angles
     inside = (se2.wrap_angle(pointing - first) >= 0.0) & (se2.wrap_angle(pointing - first) <= width)
-    swept = [beam for beam in range(6) if inside[0, beam] == inside[-1, beam] == False and inside[:, beam].any()]  # noqa: E712
+    swept = [
+        beam
+        for beam in range(6)
+        if not inside[0, beam] and not inside[-1, beam] and inside[:, beam].any()
+    ]
     assert swept
     assert math.radians(1.0) < sweep.step <= math.radians(5.0)
     assert sweep.left(sweep.start) == pytest.approx(abs(sweep.end - sweep.start), abs=1e-9)
@@ -234,11 +254,19 @@ def room_world() -> World:
     """A room of 2.6 m by 2 m with a short wall, and a block of which each side is 0.4 m long."""
     walls = [[0, 0, 2.6, 0], [2.6, 0, 2.6, 2], [2.6, 2, 0, 2], [0, 2, 0, 0], [1.9, 2, 1.9, 1.5]]
     block = np.array([[1.0, 0.7], [1.4, 0.7], [1.4, 1.1], [1.0, 1.1]])
-    return World("room", (2.6, 2.0), np.array(walls, dtype=float), [block], starts=np.array([[0.4, 1.5, 0.0]]))
+    return World(
+        "room",
+        (2.6, 2.0),
+        np.array(walls, dtype=float),
+        [block],
+        starts=np.array([[0.4, 1.5, 0.0]]),
+    )
 
 
 def run(until: str | None, **changes: object):
-    return run_episode(RunConfig(room_world(), 0.02, "consistent", 100, 600.0, until=until, **changes))
+    return run_episode(
+        RunConfig(room_world(), 0.02, "consistent", 100, 600.0, until=until, **changes)
+    )
 
 
 def test_a_run_until_the_walls_are_whole_finds_more_walls_and_says_so() -> None:
@@ -253,7 +281,8 @@ def test_a_run_until_the_walls_are_whole_finds_more_walls_and_says_so() -> None:
     assert len(walls.time) > len(seen.time)
     np.testing.assert_array_equal(walls.true[: len(seen.time)], seen.true)
     lengths = [
-        np.hypot(*(run.snapshot.segments[:, 2:] - run.snapshot.segments[:, :2]).T).sum() for run in (seen, walls)
+        np.hypot(*(run.snapshot.segments[:, 2:] - run.snapshot.segments[:, :2]).T).sum()
+        for run in (seen, walls)
     ]
     assert lengths[1] > lengths[0] + 0.2
 
@@ -272,8 +301,12 @@ def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
     before, ahead = SQUARE[corner - 1], SQUARE[corner]
     heading = math.atan2(*(ahead - before)[::-1])
     policy = Laps(ROBOT, SQUARE, 3)
-    actions = actions_until_stopped(policy, belief_of(np.array([*before, heading]), CLOSED, BLOCKED))
-    assert policy.stop_reason == f"stopped: something is in the way to corner {corner + 1} of the loop"
+    actions = actions_until_stopped(
+        policy, belief_of(np.array([*before, heading]), CLOSED, BLOCKED)
+    )
+    assert (
+        policy.stop_reason == f"stopped: something is in the way to corner {corner + 1} of the loop"
+    )
     assert PATIENCE < len(actions) < PATIENCE + 3
     np.testing.assert_allclose(actions, 0.0, atol=1e-9)
 

@@ -14,7 +14,13 @@ from limslam_agent.belief import Guess
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.controller import CollisionGuard, bearing_of, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import (
+    CollisionGuard,
+    bearing_of,
+    steer,
+    turn_by,
+    wheel_speeds,
+)
 from limslam_agent.policies.targets import next_target, search_cost
 from limslam_agent.policies.way_home import WayHome
 from limslam_agent.status.status import Status
@@ -27,7 +33,9 @@ angles = st.floats(-math.pi, math.pi)
 
 def ahead_of(pose: FloatArray, bearing: float, distance: float = 1.0) -> FloatArray:
     """A point at a bearing (rad) as the robot sees it."""
-    return se2.transform_points(pose, distance * np.array([[math.cos(bearing), math.sin(bearing)]]))[0]
+    return se2.transform_points(
+        pose, distance * np.array([[math.cos(bearing), math.sin(bearing)]])
+    )[0]
 
 
 def wall_ranges(pose: FloatArray, line: FloatArray) -> FloatArray:
@@ -38,7 +46,9 @@ def wall_ranges(pose: FloatArray, line: FloatArray) -> FloatArray:
         approach = math.cos(pose[2] + beam.angle - line[1])
         left = line[0] - x * math.cos(line[1]) - y * math.sin(line[1])
         hits = approach > 1e-9
-        readings.append(min(max(left / approach, beam.min_range), beam.max_range) if hits else beam.max_range)
+        readings.append(
+            min(max(left / approach, beam.min_range), beam.max_range) if hits else beam.max_range
+        )
     return np.array(readings)
 
 
@@ -79,7 +89,9 @@ def test_it_stops_in_front_of_a_wall_that_its_front_beams_see(slant_deg: float) 
         action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG.speed)
         actions.append(action)
         pose = drive(pose, action)
-        clearance = line[0] - pose[0] * math.cos(line[1]) - pose[1] * math.sin(line[1]) - ROBOT.radius
+        clearance = (
+            line[0] - pose[0] * math.cos(line[1]) - pose[1] * math.sin(line[1]) - ROBOT.radius
+        )
         assert clearance > 0.02
     # It drove up to it at full speed, slowed down, and stands still.
     assert actions[0].sum() == pytest.approx(2.0 * CONFIG.speed / ROBOT.max_wheel_speed)
@@ -89,7 +101,9 @@ def test_it_stops_in_front_of_a_wall_that_its_front_beams_see(slant_deg: float) 
 
 @settings(deadline=None, max_examples=200)
 @given(st.floats(-2.0, 2.0), st.floats(-20.0, 20.0))
-def test_wheels_stay_within_their_speed_and_the_turn_is_kept(speed: float, turn_rate: float) -> None:
+def test_wheels_stay_within_their_speed_and_the_turn_is_kept(
+    speed: float, turn_rate: float
+) -> None:
     left, right = wheel_speeds(speed, turn_rate, ROBOT)
     assert max(abs(left), abs(right)) <= 1.0 + 1e-12
     turned = (right - left) * ROBOT.max_wheel_speed / ROBOT.axle
@@ -100,7 +114,8 @@ def test_wheels_stay_within_their_speed_and_the_turn_is_kept(speed: float, turn_
     assert forward * speed >= 0.0
 
 
-# A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.
+# A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead
+# and to the left.
 POST = np.array([0.15, 0.15])
 AHEAD = np.array([0.6, 0.6])
 
@@ -142,7 +157,8 @@ def test_the_robot_does_not_approach_what_is_too_near_to_be_measured() -> None:
     guard.add_readings(np.zeros(3), close)
     np.testing.assert_allclose(guard.limit_speed(np.zeros(3), AHEAD), 0.0, atol=1e-12)
     np.testing.assert_array_equal(guard.limit_speed(np.zeros(3), -AHEAD), -AHEAD)
-    # Beside the robot it is not in the way, and a moment later it is forgotten: it may have been noise.
+    # Beside the robot it is not in the way, and a moment later it is forgotten: it may have been
+    # noise.
     close[:2] = 0.05, 1.5
     for _ in range(3):
         guard.add_readings(np.zeros(3), close)
@@ -200,7 +216,10 @@ def test_the_robot_drives_home_when_everything_was_seen_if_it_is_to(always):
     policy = WayHome(Stands(3), ROBOT, PolicyConfig(), always=always)
     for _ in range(3):
         policy.act(belief_at(1.0, 0.5))
-    assert (policy.stop_reason, policy.is_going_home) == (None if always else "everything seen", always)
+    assert (policy.stop_reason, policy.is_going_home) == (
+        None if always else "everything seen",
+        always,
+    )
     if always:
         assert np.abs(policy.act(belief_at(1.0, 0.5))).max() > 0.1
         np.testing.assert_array_equal(policy.plan[-1], 0.0)
@@ -239,7 +258,11 @@ def test_the_robot_comes_home_although_the_short_way_is_closed_before_it():
     wide, narrow = "#" + "." * 38 + "#", "#" + "." * 7 + "#" * 24 + "." * 7 + "#"
     rows = ["#" * 40, *[wide] * 7, *[narrow] * 14, *[wide] * 7, "#" * 40]
     closed = grid_of(*(f"{row[:9]}#{row[10:]}" for row in rows[:8]), *rows[8:])
-    policy, pose, grid = WayHome(Stands(9999), ROBOT, CONFIG, home=place(4, 4)[:2]), place(4, 35), grid_of(*rows)
+    policy, pose, grid = (
+        WayHome(Stands(9999), ROBOT, CONFIG, home=place(4, 4)[:2]),
+        place(4, 35),
+        grid_of(*rows),
+    )
     policy.go_home()
     for _ in range(1500):
         pose = drive(pose, policy.act(belief_of(pose, grid)))
@@ -271,7 +294,8 @@ def test_a_robot_in_a_world_comes_back_to_its_start():
 LOST = Status("lost", "for a test")
 HERE = place(4, 20)  # in the middle of a hall that is open to both sides
 ENDS = frontier_cells(HALL, 3)
-# An earlier map that knows the ground beyond one end of the hall, or beyond both; its cell 0, 0 is 2 m to the left.
+# An earlier map that knows the ground beyond one end of the hall, or beyond both; its cell 0, 0 is
+# 2 m to the left.
 LEFT = grid_of(*["." * 40 + "?" * 41] * 9)
 BOTH = grid_of(*["." * 81] * 9)
 FRAME = np.array([2.0, 0.0, 0.0])

@@ -1,4 +1,6 @@
-"""Warnings about logs in other units, sensors that see less far than was told, and maps without walls."""
+"""Warnings about logs in other units, sensors that see less far than was told, and maps without
+walls.
+"""
 
 from dataclasses import replace
 
@@ -18,7 +20,9 @@ def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60,
     """A log of a straight drive between two walls, with the readings as text."""
     rows = [f"{period * row:.9g},{step * row:.4f},0,0,{right},{left}" for row in range(count)]
     path = tmp_path / "drive.csv"
-    path.write_text("\n".join([f"t,x,y,theta,r_{beams[0]},r_{beams[1]}", *rows]) + "\n", encoding="utf-8")
+    path.write_text(
+        "\n".join([f"t,x,y,theta,r_{beams[0]},r_{beams[1]}", *rows]) + "\n", encoding="utf-8"
+    )
     return path
 
 
@@ -30,7 +34,9 @@ def test_a_plausible_log_gives_no_warning(tmp_path):
 
 def test_ranges_in_millimetres_are_noticed(tmp_path):
     (warning,) = log_warnings(read_log(written(tmp_path, "800", "2900")))
-    assert warning.startswith("100.0% of the readings saw nothing up to 3 m: are the ranges in metres?")
+    assert warning.startswith(
+        "100.0% of the readings saw nothing up to 3 m: are the ranges in metres?"
+    )
 
 
 def test_readings_that_jump_to_0_are_noticed(tmp_path):
@@ -40,7 +46,9 @@ def test_readings_that_jump_to_0_are_noticed(tmp_path):
         lines[row] = lines[row].replace("2.9", "0")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith("5.1% of the readings jump from more than 0.5 m to the beam's shortest range or to 0")
+    assert warning.startswith(
+        "5.1% of the readings jump from more than 0.5 m to the beam's shortest range or to 0"
+    )
     assert "--zero-is-nothing reads a table so, other logs have to be changed" in warning
     assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
 
@@ -55,7 +63,8 @@ def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("period", "said"), [(100.0, "the median time between two events is 100 s"), (-0.1, "the times never rise")]
+    ("period", "said"),
+    [(100.0, "the median time between two events is 100 s"), (-0.1, "the times never rise")],
 )
 def test_clocks_that_are_wrong_are_noticed(tmp_path, period, said):
     (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
@@ -79,7 +88,9 @@ def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(
     ],
 )
 def test_a_map_without_walls_is_explained(tmp_path, changes, words):
-    (warning,) = map_warnings(replay_log(read_log(written(tmp_path, **changes)), preset("consistent")))
+    (warning,) = map_warnings(
+        replay_log(read_log(written(tmp_path, **changes)), preset("consistent"))
+    )
     assert warning.startswith("the map has 0 walls: ")
     assert words in warning
 
@@ -99,7 +110,9 @@ def laps():
     """Two laps of a corridor, by odometry poses."""
     data, truth = corridor_log(laps=2)
     everywhere = np.ones(len(data.time), dtype=bool)
-    return RecordedLog(SIX_BEAMS, data.time, data.ranges.astype(np.float32), everywhere, truth[0], data.odometry)
+    return RecordedLog(
+        SIX_BEAMS, data.time, data.ranges.astype(np.float32), everywhere, truth[0], data.odometry
+    )
 
 
 @pytest.mark.parametrize(
@@ -115,21 +128,34 @@ def laps():
     ],
 )
 def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said):
-    read = replace(laps, odometry=laps.odometry * np.array(factors), ranges=laps.ranges[:, ::order].copy())
+    read = replace(
+        laps, odometry=laps.odometry * np.array(factors), ranges=laps.ranges[:, ::order].copy()
+    )
     warnings = log_warnings(read)
     assert len(warnings) == bool(said)
     assert all(said in warning for warning in warnings)
 
 
 def wheel_log(change):
-    """A log of wheel travel of three rounds through a ring of corridors, with the wheels changed."""
+    """A log of wheel travel of three rounds through a ring of corridors, with the wheels
+    changed.
+    """
     walls = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
     lap = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
     observations, _ = drive(walls, np.zeros(3), along([*lap, *lap, *lap, (0.0, 0.0)]), noise=0.01)
-    ranges, wheels = (np.array([each[name] for each in observations]) for name in ("ranges", "wheels"))
+    ranges, wheels = (
+        np.array([each[name] for each in observations]) for name in ("ranges", "wheels")
+    )
     count = len(observations)
     scans = np.ones(count, dtype=bool)
-    return RecordedLog(ROBOT, 0.1 * np.arange(count), ranges, scans, np.zeros(3), wheels=wheels.astype(float) @ change)
+    return RecordedLog(
+        ROBOT,
+        0.1 * np.arange(count),
+        ranges,
+        scans,
+        np.zeros(3),
+        wheels=wheels.astype(float) @ change,
+    )
 
 
 @pytest.mark.parametrize(
@@ -138,7 +164,13 @@ def wheel_log(change):
         ([[1, 0], [0, 1]], None),
         ([[0, 1], [1, 0]], "are the wheels exchanged, or the beams in the wrong order?"),
         ([[-1, 0], [0, -1]], "do the encoders of both wheels count backwards?"),
-        ([[0, 0], [0, 0]], "the wheels never move: are the encoders connected, and are left and right their columns?"),
+        (
+            [[0, 0], [0, 0]],
+            (
+                "the wheels never move: are the encoders connected, and are left and right their "
+                "columns?"
+            ),
+        ),
         ([[0, 0], [0, 1]], " m: is its encoder connected, and is left its column?"),
     ],
 )
@@ -159,13 +191,18 @@ def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, words):
     log = wheel_log(np.eye(2))
     log.ranges[:, 0] = reading
     (warning,) = [found for found in log_warnings(log) if "sensor connected" in found]
-    assert warning.startswith(f"the beam at 90 deg {words.format(len(log))}: is its sensor connected?")
+    assert warning.startswith(
+        f"the beam at 90 deg {words.format(len(log))}: is its sensor connected?"
+    )
     assert "--beams=45,15,-15,-45,-90 leaves it out" in warning
 
 
 def test_wheels_that_are_faster_than_the_robot_are_noticed():
     (warning,) = log_warnings(wheel_log(4.0 * np.eye(2)))
-    assert "but the robot's max_wheel_speed is 0.3 m/s: are left and right travel, not speeds" in warning
+    assert (
+        "but the robot's max_wheel_speed is 0.3 m/s: are left and right travel, not speeds"
+        in warning
+    )
     assert warning.endswith("If the robot is so fast, set max_wheel_speed in its file")
 
 
@@ -176,7 +213,14 @@ def test_a_gap_in_a_wheel_log_is_named_with_its_times():
     wheels[last] = wheels[first + 1 : last + 1].sum(axis=0)
     kept = np.r_[: first + 1, last : len(log)]
     gapped = replace(
-        log, time=log.time[kept], ranges=log.ranges[kept], has_scan=log.has_scan[kept], wheels=wheels[kept]
+        log,
+        time=log.time[kept],
+        ranges=log.ranges[kept],
+        has_scan=log.has_scan[kept],
+        wheels=wheels[kept],
     )
     (warning,) = [found for found in log_warnings(gapped) if "wheel travels" in found]
-    assert f"{np.abs(wheels[last]).max():.1f} m between 10.0 s and 20.0 s: what the robot did" in warning
+    assert (
+        f"{np.abs(wheels[last]).max():.1f} m between 10.0 s and 20.0 s: what the robot did"
+        in warning
+    )

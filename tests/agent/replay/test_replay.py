@@ -29,7 +29,9 @@ from limslam_env.geometry import se2, segment
 
 
 def drive(seed=0, count=1500, turn=0.03):
-    """True poses (n, 3) of a robot that wanders at 0.5 m/s, backing up now and then, an event each 0.1 s."""
+    """True poses (n, 3) of a robot that wanders at 0.5 m/s, backing up now and then, an event each
+    0.1 s.
+    """
     generator = np.random.default_rng(seed)
     turns = np.repeat(generator.normal(0.0, turn, count // 10), 10)
     ahead = np.repeat(np.where(generator.random(count // 10) < 0.9, 0.05, -0.03), 10)
@@ -47,7 +49,10 @@ def reported(true, turn_per_metre, scale, noise=0.0, seed=1):
     steps[:, 2] -= turn_per_metre * driven
     generator = np.random.default_rng(seed)
     steps[:, 0] += noise * 0.05 * np.sqrt(np.abs(driven)) * generator.normal(size=len(steps))
-    spread = np.hypot(math.radians(0.8) * np.sqrt(np.abs(driven)), math.radians(4.0) * np.sqrt(np.abs(steps[:, 2])))
+    spread = np.hypot(
+        math.radians(0.8) * np.sqrt(np.abs(driven)),
+        math.radians(4.0) * np.sqrt(np.abs(steps[:, 2])),
+    )
     steps[:, 2] += noise * spread * generator.normal(size=len(steps))
     poses = np.zeros_like(true)
     poses[0] = [30.0, -20.0, 2.0]
@@ -70,7 +75,9 @@ def as_log(odometry, begin=1000.0):
 
 def known(true, log, apart=20, every=7):
     rows = np.arange(0, len(true) - apart, every)
-    return Relations(log.time[rows], log.time[rows + apart], se2.between(true[rows], true[rows + apart]))
+    return Relations(
+        log.time[rows], log.time[rows + apart], se2.between(true[rows], true[rows + apart])
+    )
 
 
 @settings(max_examples=15, deadline=None)
@@ -119,8 +126,12 @@ def test_what_cannot_be_calibrated_is_refused():
         estimate_bias(replace(log, time=log.time + 5000.0), relations)
     with pytest.raises(ValueError, match="nothing is driven in them"):
         estimate_bias(as_log(np.zeros((200, 3))), relations)
-    with pytest.raises(ValueError, match="times as long as odometry has them: they are of another run"):
-        estimate_bias(log, Relations(relations.start_time, relations.end_time, 5.0 * relations.relative))
+    with pytest.raises(
+        ValueError, match="times as long as odometry has them: they are of another run"
+    ):
+        estimate_bias(
+            log, Relations(relations.start_time, relations.end_time, 5.0 * relations.relative)
+        )
 
 
 @pytest.mark.parametrize("until", [150.0, 2000.0])
@@ -132,7 +143,8 @@ def test_a_real_robots_bias_shows_in_the_beginning_of_its_log(until):
     columns = relations.start_time, relations.end_time, relations.relative
     bias = estimate_bias(log, Relations(*(each[early] for each in columns)))
     assert math.degrees(bias.turn_per_metre) == pytest.approx(0.99, abs=0.2)
-    # The log is said to have a scale of 1.075, but neither its relations nor the offline mapper's poses show one.
+    # The log is said to have a scale of 1.075, but neither its relations nor the offline mapper's
+    # poses show one.
     assert bias.distance_scale == pytest.approx(1.0, abs=0.015)
 
 
@@ -141,7 +153,9 @@ def test_a_real_robots_bias_shows_in_the_beginning_of_its_log(until):
 
 def relations_file(path, relations):
     columns = (relations.start_time, relations.end_time, *relations.relative[:, :2].T)
-    rows = np.column_stack((*columns, np.zeros((len(relations.start_time), 3)), relations.relative[:, 2]))
+    rows = np.column_stack(
+        (*columns, np.zeros((len(relations.start_time), 3)), relations.relative[:, 2])
+    )
     np.savetxt(path, rows)
     return path
 
@@ -207,7 +221,9 @@ def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):
     graph = json.loads((tmp_path / "graph.json").read_text())
     assert graph["key_pose_times"][0] == replay.log.time[0]
     assert len(graph["key_pose_times"]) > len(graph["local_map_times"]) > 1
-    assert {each[name] for each in loops for name in ("first_time", "second_time")} <= set(graph["local_map_times"])
+    assert {each[name] for each in loops for name in ("first_time", "second_time")} <= set(
+        graph["local_map_times"]
+    )
     found = inspect_log(replay.log, replay.config, lambda _: None, read_run(tmp_path))
     assert found.difference < 2e-6
     assert len(found.meta["path_loops"]) == len(loops)
@@ -220,7 +236,9 @@ def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):
     assert np.allclose(paths[1][:, 1:3], replay.smoothed.poses[:, :2], atol=1e-5)
     assert result["metrics"]["loops_found"] == len(loops)
     assert result["metrics"]["loops_kept"] == sum(each["reason"] == "kept" for each in loops)
-    assert result["metrics"]["landmarks"] == len(json.loads((tmp_path / "map.json").read_text())["landmarks"])
+    assert result["metrics"]["landmarks"] == len(
+        json.loads((tmp_path / "map.json").read_text())["landmarks"]
+    )
     assert result["cost"]["smoothing_cpu_s"] > 0.0
 
 
@@ -255,8 +273,14 @@ def test_the_longest_stretch_without_a_loop_is_found():
     ("found", "words"),
     [
         (SURE, ""),
-        (replace(SURE, confirmed=0.0, contradicted=0.0), "no other visit of a place confirms what was seen"),
-        (replace(SURE, contradicted=0.1), "visits of a place contradict each other at 17% of the points"),
+        (
+            replace(SURE, confirmed=0.0, contradicted=0.0),
+            "no other visit of a place confirms what was seen",
+        ),
+        (
+            replace(SURE, contradicted=0.1),
+            "visits of a place contradict each other at 17% of the points",
+        ),
         (
             replace(SURE, doubtful_times=(12.3, 40.0)),
             "visits contradict what was seen more often than they confirm it after 12, 40 s",
@@ -281,7 +305,10 @@ def test_another_path_is_better_if_its_visits_agree_better_on_as_much():
 def test_the_summary_says_that_readings_are_few():
     assert len(replay_summary(SURE.figures)) == 1
     _, line = replay_summary(replace(SURE, points=620).figures)
-    assert line.strip() == "6.2 readings of walls in a metre of driving: with fewer than 10, paths were often wrong"
+    assert (
+        line.strip()
+        == "6.2 readings of walls in a metre of driving: with fewer than 10, paths were often wrong"
+    )
 
 
 def test_a_stretch_that_no_loop_holds_is_named():

@@ -26,7 +26,15 @@ TOLD = preset("paper", NominalNoise(0.02))
 IN_ENV2 = ("--world", "env2", "--noise", 0.02, "--seed", 3)
 FAST = replace(ROBOT, max_wheel_speed=0.4)
 FLAT = spaces.Box(-1.0, 1.0, (8,))
-DRIVE = {"path_m", "coverage_true", "time_to_50_s", "time_to_90_s", "time_to_95_s", "exploration_time_s", "collisions"}
+DRIVE = {
+    "path_m",
+    "coverage_true",
+    "time_to_50_s",
+    "time_to_90_s",
+    "time_to_95_s",
+    "exploration_time_s",
+    "collisions",
+}
 WALLS = [[0, 0, 3, 0], [3, 0, 3, 2], [3, 2, 0, 2], [0, 2, 0, 0]]
 ROOM = World("room", (3.0, 2.0), WALLS, starts=[[1.0, 1.0, 0.0], [2.0, 1.0, 2.0]])
 
@@ -47,11 +55,15 @@ class Model:
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):  # noqa: FBT002 (its interface)
         self.calls.append((observation, state, episode_start, deterministic))
-        return np.array([0.5, 0.4], dtype=np.float32), ((state or 0) + 1 if self.remembers else None)
+        return np.array([0.5, 0.4], dtype=np.float32), (
+            (state or 0) + 1 if self.remembers else None
+        )
 
 
 class Trained:
-    """A model that was trained on the observations of a space. Without a space, on beliefs that it does not declare."""
+    """A model that was trained on the observations of a space. Without a space, on beliefs that it
+    does not declare.
+    """
 
     def __init__(self, space):
         if space is not None:
@@ -64,15 +76,23 @@ class Trained:
 
 def test_the_agent_gets_the_metrics_of_a_run(tmp_path):
     expected = run(tmp_path / "run", *IN_ENV2, "--preset", "paper", "--max-time", 25).metrics
-    (result,) = evaluate(LimSlamAgent(ROBOT, TOLD), "LimSlam-Env2-v0", [3], max_time=25.0, sensor_noise=0.02)
+    (result,) = evaluate(
+        LimSlamAgent(ROBOT, TOLD), "LimSlam-Env2-v0", [3], max_time=25.0, sensor_noise=0.02
+    )
     assert result.pop("seed") == 3
-    assert {"ate_m", "odometry_ate_m", "anees", "wall_f1", "doors_open", "coverage_correct"} <= set(result)
+    assert {"ate_m", "odometry_ate_m", "anees", "wall_f1", "doors_open", "coverage_correct"} <= set(
+        result
+    )
     assert {name: expected[name] for name in result} == result
 
 
 def test_a_team_gets_the_metrics_of_a_run(tmp_path):
-    expected = run(tmp_path / "run", *IN_ENV2, "--preset", "paper", "--max-time", 15, "--robots", 2).metrics
-    (result,) = evaluate(LimSlamTeam(ROBOT, TOLD), "limslam/Env2-v0", [3], max_time=15.0, sensor_noise=0.02)
+    expected = run(
+        tmp_path / "run", *IN_ENV2, "--preset", "paper", "--max-time", 15, "--robots", 2
+    ).metrics
+    (result,) = evaluate(
+        LimSlamTeam(ROBOT, TOLD), "limslam/Env2-v0", [3], max_time=15.0, sensor_noise=0.02
+    )
     assert result.pop("seed") == 3
     assert {"ate_m", "wall_f1"} <= set(result)
     assert {name: expected[name] for name in result} == result
@@ -92,7 +112,9 @@ def test_a_function_gets_the_true_metrics_alone():
 
 
 def test_who_cannot_stop_is_stopped_at_the_goal():
-    (result,) = evaluate(spin, "LimSlam-World-v0", [0], max_time=60.0, world=ROOM, coverage_goal=0.5)
+    (result,) = evaluate(
+        spin, "LimSlam-World-v0", [0], max_time=60.0, world=ROOM, coverage_goal=0.5
+    )
     assert result["stop_reason"] == "the coverage goal is reached"
     assert result["exploration_time_s"] == result["time_to_50_s"] > 0.0
     assert result["coverage_true"] >= 0.5
@@ -143,7 +165,12 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
         return 0.2, 0.2
 
     (result,) = evaluate(
-        look, "LimSlam-World-v0", [0], max_time=1.0, wrap=lambda env: SlamObservation(env, TOLD), world=ROOM
+        look,
+        "LimSlam-World-v0",
+        [0],
+        max_time=1.0,
+        wrap=lambda env: SlamObservation(env, TOLD),
+        world=ROOM,
     )
     assert result["path_m"] == pytest.approx(0.06)
 
@@ -162,10 +189,25 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
             {},
             "env_id is a name such as 'LimSlam-Env1-v0', not .*: evaluate makes",
         ),
-        (LimSlamAgent(FAST), "LimSlam-Env1-v0", {}, r"LimSlamAgent was made for another robot .*in max_wheel_speed\)"),
-        (Trained(FLAT), "LimSlam-Env1-v0", {}, r"shape \(8,\)\).*\(ranges \(6,\), wheels \(2,\)\).*by wrap="),
+        (
+            LimSlamAgent(FAST),
+            "LimSlam-Env1-v0",
+            {},
+            r"LimSlamAgent was made for another robot .*in max_wheel_speed\)",
+        ),
+        (
+            Trained(FLAT),
+            "LimSlam-Env1-v0",
+            {},
+            r"shape \(8,\)\).*\(ranges \(6,\), wheels \(2,\)\).*by wrap=",
+        ),
         ("fronteer", "LimSlam-Env1-v0", {}, "no policy is called 'fronteer'; there are frontier, "),
-        ("tour", "LimSlam-Env1-v0", {}, "the policy 'tour' knows the truth: use limslam run --policy tour"),
+        (
+            "tour",
+            "LimSlam-Env1-v0",
+            {},
+            "the policy 'tour' knows the truth: use limslam run --policy tour",
+        ),
     ],
 )
 def test_what_cannot_act_is_refused_in_one_line(actor, env_id, arguments, words):
@@ -176,11 +218,37 @@ def test_what_cannot_act_is_refused_in_one_line(actor, env_id, arguments, words)
 
 def test_medians_by_hand():
     rows = [
-        {"seed": 0, "path_m": 1.0, "exploration_time_s": 10.0, "time_to_95_s": None, "anees": None, "stop_reason": "a"},
-        {"seed": 1, "path_m": 5.0, "exploration_time_s": None, "time_to_95_s": None, "anees": 2.0, "stop_reason": "b"},
-        {"seed": 2, "path_m": 2.0, "exploration_time_s": 30.0, "time_to_95_s": 5.0, "anees": 4.0, "stop_reason": "c"},
+        {
+            "seed": 0,
+            "path_m": 1.0,
+            "exploration_time_s": 10.0,
+            "time_to_95_s": None,
+            "anees": None,
+            "stop_reason": "a",
+        },
+        {
+            "seed": 1,
+            "path_m": 5.0,
+            "exploration_time_s": None,
+            "time_to_95_s": None,
+            "anees": 2.0,
+            "stop_reason": "b",
+        },
+        {
+            "seed": 2,
+            "path_m": 2.0,
+            "exploration_time_s": 30.0,
+            "time_to_95_s": 5.0,
+            "anees": 4.0,
+            "stop_reason": "c",
+        },
     ]
-    assert medians(rows) == {"path_m": 2.0, "exploration_time_s": 30.0, "time_to_95_s": None, "anees": 3.0}
+    assert medians(rows) == {
+        "path_m": 2.0,
+        "exploration_time_s": 30.0,
+        "time_to_95_s": None,
+        "anees": 3.0,
+    }
     assert medians([]) == {}
 
 
@@ -202,7 +270,9 @@ def test_a_policy_is_scored_as_the_policy_of_an_agent():
     arguments = {"max_time": 3.0, "world": ROOM, "sensor_noise": 0.02}
     policy = TurnFromWalls()
     first, second = evaluate(policy, "LimSlam-World-v0", [3, 3], **arguments)
-    expected = evaluate(LimSlamAgent(ROBOT, config, TurnFromWalls()), "LimSlam-World-v0", [3], **arguments)
+    expected = evaluate(
+        LimSlamAgent(ROBOT, config, TurnFromWalls()), "LimSlam-World-v0", [3], **arguments
+    )
     assert [first] == [second] == expected
     assert "ate_m" in first
     assert policy.steps == 0, "each episode begins with a copy"
@@ -224,7 +294,11 @@ class Ambiguous(TurnFromWalls):
 @pytest.mark.parametrize(
     ("policy", "env_id", "words"),
     [
-        (WithoutAttributes(), "LimSlam-Env1-v0", "is a policy.*no stop_reason and no plan.*write stop_reason = None"),
+        (
+            WithoutAttributes(),
+            "LimSlam-Env1-v0",
+            "is a policy.*no stop_reason and no plan.*write stop_reason = None",
+        ),
         (Ambiguous(), "LimSlam-Env1-v0", "policy or an actor: call the argument of act belief"),
         (TurnFromWalls(), "limslam/Env1-v0", "a policy for one robot: pass LimSlamTeam"),
     ],
@@ -235,7 +309,9 @@ def test_a_policy_that_cannot_be_scored_is_refused_with_what_to_write(policy, en
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("policy", [FrontierPolicy(), WallFollower(), RandomPolicy(), LearnedPolicy()])
+@pytest.mark.parametrize(
+    "policy", [FrontierPolicy(), WallFollower(), RandomPolicy(), LearnedPolicy()]
+)
 def test_the_policies_of_the_package_need_no_arguments(policy):
     (result,) = evaluate(policy, "LimSlam-Env2-v0", [0], max_time=6.0, sensor_noise=0.02)
     assert result["path_m"] > 0.0

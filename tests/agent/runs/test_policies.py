@@ -26,7 +26,9 @@ ROOM = World("room", (4.0, 3.0), WALLS, starts=[[1.0, 0.8, 0.4], [3.0, 1.0, 2.0]
 
 
 def run(policy, **settings):
-    return run_episode(RunConfig(ROOM, policy=policy, **{"noise": 0.02, "max_time": 120.0, **settings}))
+    return run_episode(
+        RunConfig(ROOM, policy=policy, **{"noise": 0.02, "max_time": 120.0, **settings})
+    )
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,9 @@ def tour():
     return run("tour")
 
 
-@pytest.mark.parametrize("settings", [{"preset": "odometry"}, {"preset": "paper", "ablation": "no-ekf"}])
+@pytest.mark.parametrize(
+    "settings", [{"preset": "odometry"}, {"preset": "paper", "ablation": "no-ekf"}]
+)
 def test_every_estimator_listens_to_the_same_drive(tour, settings):
     other = run("tour", **settings)
     assert len(tour.time) > 100
@@ -64,12 +68,16 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
     episode = run(policy, robots=2, max_time=20.0)
     lengths = np.abs(np.diff(episode.true[..., :2], axis=0)).sum(axis=(0, 2))
     assert (lengths > 0.5).all()
-    again, other = run(policy, robots=2, max_time=20.0), run(policy, robots=2, max_time=20.0, seed=1)
+    again, other = (
+        run(policy, robots=2, max_time=20.0),
+        run(policy, robots=2, max_time=20.0, seed=1),
+    )
     np.testing.assert_array_equal(again.true, episode.true)
     assert not np.array_equal(other.true, episode.true)
 
 
-# A room of 1.4 m x 1.4 m in the corner of a hall, with a gap in the hall's outer wall or without one.
+# A room of 1.4 m x 1.4 m in the corner of a hall, with a gap in the hall's outer wall or without
+# one.
 CORNER = [[0, 1.4, 1.4, 1.4], [1.4, 1.4, 1.4, 0]]
 CLOSED = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
 OPEN = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]
@@ -77,10 +85,15 @@ INSIDE = {"starts": np.array([[0.7, 0.7, 0.0]])}
 
 
 @pytest.mark.parametrize(
-    ("walls", "more", "words"), [(CLOSED, INSIDE, "other regions"), (OPEN, {}, "outer wall is open")]
+    ("walls", "more", "words"),
+    [(CLOSED, INSIDE, "other regions"), (OPEN, {}, "outer wall is open")],
 )
 def test_a_small_region_is_not_called_the_world(walls, more, words):
-    config = RunConfig(World("hall", (6.0, 4.0), np.array(walls + CORNER, dtype=float), **more), seed=1, max_time=200.0)
+    config = RunConfig(
+        World("hall", (6.0, 4.0), np.array(walls + CORNER, dtype=float), **more),
+        seed=1,
+        max_time=200.0,
+    )
     (warning,) = config.warnings
     assert words in warning
     episode = run_episode(config)
@@ -91,7 +104,9 @@ def test_a_small_region_is_not_called_the_world(walls, more, words):
 
 
 def test_a_whole_world_is_called_explored():
-    config = RunConfig(World("room", (6.0, 4.0), np.array(CLOSED, dtype=float)), seed=1, max_time=400.0)
+    config = RunConfig(
+        World("room", (6.0, 4.0), np.array(CLOSED, dtype=float)), seed=1, max_time=400.0
+    )
     assert config.warnings == []
     episode = run_episode(config)
     assert episode.stop_reason == "explored: no frontier is left"
@@ -101,7 +116,9 @@ def test_a_whole_world_is_called_explored():
 @pytest.mark.slow
 def test_ten_minutes_in_one_building_end_as_they_began():
     settings = replace(preset("graph", NominalNoise(0.02)), renewal=RenewalConfig(period=120.0))
-    run = RunConfig("env3", 0.02, seed=100, policy="tour", laps=100, max_time=600.0, settings=settings)
+    run = RunConfig(
+        "env3", 0.02, seed=100, policy="tour", laps=100, max_time=600.0, settings=settings
+    )
     landmarks = []
     episode = run_episode(run, lambda team, *_: landmarks.append(len(team.slam.all_landmarks)))
     error = np.hypot(*(episode.estimated - episode.true)[:, 0, :2].T)
@@ -109,7 +126,9 @@ def test_ten_minutes_in_one_building_end_as_they_began():
     first, *_, last = (np.sqrt(np.mean(error[part] ** 2)) for part in quarters)
     assert last <= 1.5 * max(first, 0.03)
     part = quarters[-1]
-    scores = consistency_metrics(episode.true[part, 0], episode.estimated[part, 0], episode.covariances[part, 0])
+    scores = consistency_metrics(
+        episode.true[part, 0], episode.estimated[part, 0], episode.covariances[part, 0]
+    )
     assert scores["anees"] <= 3.0
     assert landmarks[-1] <= 1.3 * landmarks[len(landmarks) // 4]
 
@@ -118,14 +137,19 @@ ROBOT, NOISE = RobotSpec(), NominalNoise(0.02)
 
 
 def driven(world, actions, seed=1, start=None, noise=0.02):
-    """The log of a simulated drive: poses, wheels, ranges, wall_seen and contact, a row for each moment."""
+    """The log of a simulated drive: poses, wheels, ranges, wall_seen and contact, a row for each
+    moment.
+    """
     simulation = Simulation(load_world(world), ROBOT, 1)
     results = [simulation.reset(np.random.SeedSequence(seed), NoiseConfig(noise), start)]
     results += [simulation.step([action]) for action in actions]
     readings, truths = zip(*results, strict=True)
     return (
         *(np.array([getattr(each, name) for each in truths]) for name in ("poses",)),
-        *(np.array([getattr(each, name) for each in readings], dtype=float) for name in ("wheels", "ranges")),
+        *(
+            np.array([getattr(each, name) for each in readings], dtype=float)
+            for name in ("wheels", "ranges")
+        ),
         *(np.array([getattr(each, name) for each in truths]) for name in ("wall_seen", "contact")),
     )
 
@@ -140,8 +164,13 @@ def test_another_solver_finds_the_same_optimum():
         normal = line.through(edge[:2], edge[2:])[1]
         if abs(math.cos(true[row, 0, 2] + ROBOT.beam_angles[beam] - normal)) < 0.3:
             wall_seen[row, 0, beam] = -1
-    is_read = (wall_seen[:, 0] >= 0) & (ranges[:, 0] > ROBOT.too_near) & (ranges[:, 0] < ROBOT.too_far)
-    counts = {wall: int((wall_seen[:, 0][is_read] == wall).sum()) for wall in np.unique(wall_seen[:, 0][is_read])}
+    is_read = (
+        (wall_seen[:, 0] >= 0) & (ranges[:, 0] > ROBOT.too_near) & (ranges[:, 0] < ROBOT.too_far)
+    )
+    counts = {
+        wall: int((wall_seen[:, 0][is_read] == wall).sum())
+        for wall in np.unique(wall_seen[:, 0][is_read])
+    }
     walls = [wall for wall, count in counts.items() if count >= 6]
 
     def path(values):
@@ -153,7 +182,11 @@ def test_another_solver_finds_the_same_optimum():
     def residuals(values, used):
         travel, lines = values[: 2 * steps].reshape(-1, 2), values[2 * steps :].reshape(-1, 2)
         poses, measured = path(travel), wheels[1:, 0]
-        found = ((travel - measured) / np.sqrt(NOISE.wheel_variance * np.abs(measured) + 1e-12)).ravel().tolist()
+        found = (
+            ((travel - measured) / np.sqrt(NOISE.wheel_variance * np.abs(measured) + 1e-12))
+            .ravel()
+            .tolist()
+        )
         for row, beam in used:
             (r, theta), heading = lines[walls.index(wall_seen[row, 0, beam])], poses[row, 2]
             phi, (x, y) = heading + ROBOT.beam_angles[beam], poses[row, :2]
@@ -170,7 +203,9 @@ def test_another_solver_finds_the_same_optimum():
     other = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12, x_scale="jac", args=(used,))
     found = offline_optimum(ROBOT, NOISE, true, wheels, ranges, wall_seen, contact)
     assert found is not None
-    np.testing.assert_allclose(found[:, 0, :2], path(other.x[: 2 * steps].reshape(-1, 2))[:, :2], atol=2e-5)
+    np.testing.assert_allclose(
+        found[:, 0, :2], path(other.x[: 2 * steps].reshape(-1, 2))[:, :2], atol=2e-5
+    )
 
 
 def test_wheels_in_contact_do_not_drag_the_optimum_along():
@@ -186,7 +221,10 @@ def test_wheels_in_contact_do_not_drag_the_optimum_along():
 
 def test_without_a_wall_there_is_no_optimum():
     true, wheels, ranges, wall_seen, contact = driven("square", [(0.5, 0.5)] * 5)
-    assert offline_optimum(ROBOT, NOISE, true, wheels, ranges, np.full_like(wall_seen, -1), contact) is None
+    assert (
+        offline_optimum(ROBOT, NOISE, true, wheels, ranges, np.full_like(wall_seen, -1), contact)
+        is None
+    )
 
 
 def test_the_command_writes_both_metrics(tmp_path):

@@ -1,4 +1,6 @@
-"""A policy from a file that the user names drives a run; what cannot be is refused in one line with its place."""
+"""A policy from a file that the user names drives a run; what cannot be is refused in one line with
+its place.
+"""
 
 import json
 import tomllib
@@ -67,7 +69,9 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_policy_of_a_file_gets_everything_that_a_run_gets(folder):
-    done = limslam("run", "--policy", "mine.py:Ahead", "--out", "first", "--video", "first.gif", "--seed", "4")
+    done = limslam(
+        "run", "--policy", "mine.py:Ahead", "--out", "first", "--video", "first.gif", "--seed", "4"
+    )
     assert done.returncode == 0, done.stderr
     assert "stopped     enough" in done.stdout
     assert (folder / "first" / "map.png").is_file()
@@ -78,13 +82,21 @@ def test_a_policy_of_a_file_gets_everything_that_a_run_gets(folder):
 
 
 def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
-    assert limslam("run", "--policy", folder / "mine.py:random_ahead", "--out", "first").returncode == 0
+    assert (
+        limslam("run", "--policy", folder / "mine.py:random_ahead", "--out", "first").returncode
+        == 0
+    )
     (folder / "mine.py").unlink()
     (folder / "first").rename(folder / "handed out")
-    assert tomllib.loads((folder / "handed out" / "run.toml").read_text())["policy"] == "mine.py:random_ahead"
+    assert (
+        tomllib.loads((folder / "handed out" / "run.toml").read_text())["policy"]
+        == "mine.py:random_ahead"
+    )
     again = limslam("run", "--config", folder / "handed out" / "run.toml", "--out", "second")
     assert again.returncode == 0, again.stderr
-    one, other = (Path(name, "trajectory_true.tum").read_bytes() for name in ("handed out", "second"))
+    one, other = (
+        Path(name, "trajectory_true.tum").read_bytes() for name in ("handed out", "second")
+    )
     assert one == other
 
 
@@ -93,8 +105,14 @@ def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
     [
         ("nix.py:Ahead", "nix.py: no such file"),
         ("mine.py:Nobody", "mine.py: has no class and no function Nobody"),
-        ("mine.py:Listener", "mine.py: Listener makes no policy: a policy has act(belief), stop_reason and plan"),
-        ("mine.py:Needs", "mine.py: Needs needs the argument speed: a policy is made without arguments"),
+        (
+            "mine.py:Listener",
+            "mine.py: Listener makes no policy: a policy has act(belief), stop_reason and plan",
+        ),
+        (
+            "mine.py:Needs",
+            "mine.py: Needs needs the argument speed: a policy is made without arguments",
+        ),
         ("mine.py:Divides", "mine.py, line 24, in act: ZeroDivisionError: division by zero"),
         ("mine.py:Says", "Says: act must return two finite numbers"),
         ("wrong.py:f", "wrong.py, line 2: SyntaxError"),

@@ -1,4 +1,6 @@
-"""``limslam score``: scores from files equal those of a run, agree with evo, and do not depend on the frame."""
+"""``limslam score``: scores from files equal those of a run, agree with evo, and do not depend on
+the frame.
+"""
 
 import json
 
@@ -15,7 +17,9 @@ MOVE = np.array([3.0, -2.0, 1.1])
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("run") / "run", "--noise", 0.02, "--max-time", 20, "--seed", 300)
+    return run(
+        tmp_path_factory.mktemp("run") / "run", "--noise", 0.02, "--max-time", 20, "--seed", 300
+    )
 
 
 def scored(folder, *options):
@@ -27,26 +31,45 @@ def scored(folder, *options):
 def drive(seed=0, count=200):
     generator = np.random.default_rng(seed)
     true = np.zeros((count, 3))
-    motions = np.column_stack((np.full(count, 0.05), np.zeros(count), generator.normal(0.0, 0.1, count)))
+    motions = np.column_stack(
+        (np.full(count, 0.05), np.zeros(count), generator.normal(0.0, 0.1, count))
+    )
     for step in range(1, count):
         true[step] = se2.compose(true[step - 1], motions[step])
     return true, true + generator.normal(0.0, 0.03, true.shape)
 
 
 class TestScores:
-    @pytest.mark.parametrize(("path", "suffix"), [("trajectory_est.tum", ""), ("trajectory_smoothed.tum", "_smoothed")])
+    @pytest.mark.parametrize(
+        ("path", "suffix"), [("trajectory_est.tum", ""), ("trajectory_smoothed.tum", "_smoothed")]
+    )
     def test_files_of_a_run_have_the_scores_of_the_run(self, finished, tmp_path, path, suffix):
         folder, metrics = finished.path, finished.metrics
         of_map = "map.json" if suffix else "map_online.json"
         scores = scored(
-            tmp_path, "--true", folder / "trajectory_true.tum", "--est", folder / path,
-            "--covariances", folder / "covariance_est.npz", "--map", folder / of_map, "--world", folder / "world.toml",
-        )  # fmt: skip
+            tmp_path,
+            "--true",
+            folder / "trajectory_true.tum",
+            "--est",
+            folder / path,
+            "--covariances",
+            folder / "covariance_est.npz",
+            "--map",
+            folder / of_map,
+            "--world",
+            folder / "world.toml",
+        )
         heading = "heading_smoothed_rmse_deg" if suffix else "heading_rmse_deg"
-        for name, of_run in (("ate_m", f"ate{suffix}_m"), ("heading_rmse_deg", heading), ("anees", f"anees{suffix}")):
+        for name, of_run in (
+            ("ate_m", f"ate{suffix}_m"),
+            ("heading_rmse_deg", heading),
+            ("anees", f"anees{suffix}"),
+        ):
             assert scores[name] == pytest.approx(metrics[of_run], rel=1e-3), name
         for name in ("wall_recall", "wall_f1", "wall_f1_5cm", "wall_f1_aligned", "spurious_m"):
-            assert scores[name] == pytest.approx(metrics[name if suffix else f"{name}_online"], abs=2e-3), name
+            assert scores[name] == pytest.approx(
+                metrics[name if suffix else f"{name}_online"], abs=2e-3
+            ), name
 
     def test_a_moved_estimate_has_the_same_scores_when_it_is_aligned(self, finished, tmp_path):
         true, estimated = (finished.path / f"trajectory_{name}.tum" for name in ("true", "est"))
@@ -57,7 +80,12 @@ class TestScores:
                 for path in (estimated, tmp_path / "moved.tum")
             )
             assert {name: moved[name] for name in plain} == pytest.approx(plain, abs=2e-6)
-        assert scored(tmp_path, "--true", true, "--est", tmp_path / "moved.tum", "--align", "none")["ate_m"] > 1.0
+        assert (
+            scored(tmp_path, "--true", true, "--est", tmp_path / "moved.tum", "--align", "none")[
+                "ate_m"
+            ]
+            > 1.0
+        )
 
     def test_covariances_turn_with_the_frame(self, tmp_path):
         true, estimated = drive()
@@ -67,14 +95,23 @@ class TestScores:
         cosine, sine = np.cos(MOVE[2]), np.sin(MOVE[2])
         turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         write_poses(tmp_path / "true.tum", time, true)
-        frames = [(estimated, covariances), (se2.compose(MOVE, estimated), turn @ covariances @ turn.T)]
+        frames = [
+            (estimated, covariances),
+            (se2.compose(MOVE, estimated), turn @ covariances @ turn.T),
+        ]
         anees = []
         for poses, stated in frames:
             write_poses(tmp_path / "est.tum", time, poses)
-            rows = np.column_stack((time, *(stated[:, i, j] for i in range(3) for j in range(i, 3))))
+            rows = np.column_stack(
+                (time, *(stated[:, i, j] for i in range(3) for j in range(i, 3)))
+            )
             np.savetxt(tmp_path / "est.txt", rows, header="t xx xy xh yy yh hh")
             files = ("--true", tmp_path / "true.tum", "--est", tmp_path / "est.tum")
-            anees.append(scored(tmp_path, *files, "--covariances", tmp_path / "est.txt", "--align", "path")["anees"])
+            anees.append(
+                scored(tmp_path, *files, "--covariances", tmp_path / "est.txt", "--align", "path")[
+                    "anees"
+                ]
+            )
         assert anees[1] == pytest.approx(anees[0], rel=1e-3)
         assert anees[0] > 0.0
 
@@ -89,21 +126,37 @@ class TestScores:
         write_poses(tmp_path / "true.tum", time, true)
         write_poses(tmp_path / "est.tum", time[5::3] + 0.004, estimated[5::3])
         ours = scored(tmp_path, "--true", tmp_path / "true.tum", "--est", tmp_path / "est.tum")
-        pair = [file_interface.read_tum_trajectory_file(str(tmp_path / name)) for name in ("true.tum", "est.tum")]
+        pair = [
+            file_interface.read_tum_trajectory_file(str(tmp_path / name))
+            for name in ("true.tum", "est.tum")
+        ]
         reference, estimate = sync.associate_trajectories(*pair, max_diff=0.01)
         error = evo_metrics.APE()
         error.process_data((reference, estimate))
-        assert ours["ate_m"] == pytest.approx(error.get_statistic(evo_metrics.StatisticsType.rmse), rel=1e-6)
+        assert ours["ate_m"] == pytest.approx(
+            error.get_statistic(evo_metrics.StatisticsType.rmse), rel=1e-6
+        )
         assert ours["poses"] == reference.num_poses == 65
         assert ours["poses_unmatched"] == 0
 
     def test_the_heading_in_space_is_the_yaw(self, tmp_path):
         angles = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3))
         quaternions = 3.0 * Rotation.from_euler("ZYX", angles).as_quat()
-        np.savetxt(tmp_path / "tilted.tum", np.column_stack((np.arange(20), np.zeros((20, 3)), quaternions)))
+        np.savetxt(
+            tmp_path / "tilted.tum",
+            np.column_stack((np.arange(20), np.zeros((20, 3)), quaternions)),
+        )
         level = np.column_stack((np.zeros((20, 2)), angles[:, 0]))
         write_poses(tmp_path / "level.tum", np.arange(20.0), level)
-        scores = scored(tmp_path, "--true", tmp_path / "level.tum", "--est", tmp_path / "tilted.tum", "--align", "none")
+        scores = scored(
+            tmp_path,
+            "--true",
+            tmp_path / "level.tum",
+            "--est",
+            tmp_path / "tilted.tum",
+            "--align",
+            "none",
+        )
         assert scores["heading_rmse_deg"] == pytest.approx(0.0, abs=1e-5)
 
 
@@ -114,12 +167,21 @@ class TestRefusals:
             ((), "something to score is needed"),
             (("--est", "est.tum"), "needs something to compare with"),
             (("--map", "map.json"), "--map and --world go together"),
-            (("--est", "est.tum", "--true", "true.tum", "--align", "best"), "--align: none, start, path"),
+            (
+                ("--est", "est.tum", "--true", "true.tum", "--align", "best"),
+                "--align: none, start, path",
+            ),
             (("--est", "est.tum", "--true", "late.tum"), "no pose has the time"),
             (("--est", "zero.tum", "--true", "true.tum"), "line 2 has a quaternion of length 0"),
             (("--est", "nan.tum", "--true", "true.tum"), "line 1 is not"),
-            (("--est", "est.tum", "--true", "true.tum", "--covariances", "one.txt"), "has 1 covariances"),
-            (("--est", "est.tum", "--true", "true.tum", "--covariances", "bad.txt"), "line 1 is not t xx"),
+            (
+                ("--est", "est.tum", "--true", "true.tum", "--covariances", "one.txt"),
+                "has 1 covariances",
+            ),
+            (
+                ("--est", "est.tum", "--true", "true.tum", "--covariances", "bad.txt"),
+                "line 1 is not t xx",
+            ),
         ],
     )
     def test_one_line_says_why(self, tmp_path, monkeypatch, options, reason):

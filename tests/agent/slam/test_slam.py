@@ -1,4 +1,6 @@
-"""LineSlam on corridors made of nothing but geometry, and how wrong it is against what it believes."""
+"""LineSlam on corridors made of nothing but geometry, and how wrong it is against what it
+believes.
+"""
 
 import copy
 import math
@@ -17,7 +19,8 @@ from limslam_env.geometry import FloatArray, se2
 from limslam_env.geometry import line as line_geometry
 
 ROBOT = RobotSpec()
-# Every observed line counts here; when a landmark becomes a wall of the map is tested in test_loop_closing.
+# Every observed line counts here; when a landmark becomes a wall of the map is tested in
+# test_loop_closing.
 EVERY_LINE = MapConfig(min_observations=1, min_length=0.0)
 
 
@@ -38,7 +41,12 @@ CORRIDOR = corridor(0.4)
 STARTS = [(1.0, 2.0, 2.5), (0.5, 0.0, 0.5 * math.pi)]
 
 
-def run(observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT) -> LineSlam:
+def run(
+    observations: list[Observation],
+    config: AgentConfig,
+    start: FloatArray,
+    robot: RobotSpec = ROBOT,
+) -> LineSlam:
     slam = LineSlam(robot, config, start)
     for observation in observations:
         slam.step(observation)
@@ -48,23 +56,29 @@ def run(observations: list[Observation], config: AgentConfig, start: FloatArray,
 def with_wheels(observations: list[Observation], factors: tuple[float, float]) -> list[Observation]:
     """The same drive as encoders tell it that report too much or too little."""
     return [
-        {"ranges": each["ranges"], "wheels": np.float32(np.asarray(each["wheels"]) * factors)} for each in observations
+        {"ranges": each["ranges"], "wheels": np.float32(np.asarray(each["wheels"]) * factors)}
+        for each in observations
     ]
 
 
 @pytest.mark.parametrize(("place", "half"), [(STARTS[0], 0.5), (STARTS[1], 0.4)])
-def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, float], half: float) -> None:
+def test_a_straight_corridor_becomes_its_two_walls(
+    place: tuple[float, float, float], half: float
+) -> None:
     start = np.array(place)
     walls = placed(corridor(half), start)
     observations, poses = drive(walls, start, straight(3.0))
     slam = run(observations, CONFIG, start)
     assert len(slam.landmarks) == len(slam.segments) == 2
-    left, right = sorted(slam.landmarks, key=lambda each: -float(_in_robot_frame(each.ends, start)[:, 1].mean()))
+    left, right = sorted(
+        slam.landmarks, key=lambda each: -float(_in_robot_frame(each.ends, start)[:, 1].mean())
+    )
     for landmark, wall in ((left, walls[0]), (right, walls[1])):
         line = line_geometry.through(wall[:2], wall[2:])
         found = line_geometry.nearest_form(np.array([landmark.r, landmark.theta]), line)
         np.testing.assert_allclose(found, line, atol=2e-3)
-        # Ends: the first beam sideways began at x = 0, the slanted one saw as far ahead as the wall is beside.
+        # Ends: the first beam sideways began at x = 0, the slanted one saw as far ahead as the wall
+        # is beside.
         reach = _in_robot_frame(landmark.ends, start)[:, 0]
         assert -0.05 <= reach.min() <= 0.3
         assert 2.5 <= reach.max() <= 3.02 + half
@@ -80,14 +94,21 @@ def _in_robot_frame(points: FloatArray, start: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("place", STARTS)
-def test_walls_on_one_line_with_a_door_between_become_two(place: tuple[float, float, float]) -> None:
+def test_walls_on_one_line_with_a_door_between_become_two(
+    place: tuple[float, float, float],
+) -> None:
     start = np.array(place)
     # The left wall has an opening of 0.8 m and a room behind it that no beam reaches.
-    walls = placed(np.array([[-3.0, 0.4, 1.2, 0.4], [2.0, 0.4, 8.0, 0.4], [-3.0, -0.4, 8.0, -0.4]]), start)
+    walls = placed(
+        np.array([[-3.0, 0.4, 1.2, 0.4], [2.0, 0.4, 8.0, 0.4], [-3.0, -0.4, 8.0, -0.4]]), start
+    )
     observations, _ = drive(walls, start, straight(4.0))
     slam = run(observations, CONFIG, start)
-    reaches = [sorted(_in_robot_frame(s.reshape(2, 2), start)[:, 0]) for s in slam.segments
-               if _in_robot_frame(s.reshape(2, 2), start)[:, 1].mean() > 0.0]  # fmt: skip
+    reaches = [
+        sorted(_in_robot_frame(s.reshape(2, 2), start)[:, 0])
+        for s in slam.segments
+        if _in_robot_frame(s.reshape(2, 2), start)[:, 1].mean() > 0.0
+    ]
     before, after = sorted(reaches)
     assert len(slam.segments) == 3
     assert before[1] == pytest.approx(1.2, abs=0.06)
@@ -102,7 +123,9 @@ def test_without_correction_the_pose_is_pure_odometry() -> None:
     lying = with_wheels(observations, (1.01, 0.99))
     pose = start
     for each in lying:
-        increment = motion_from_wheels(np.asarray(each["wheels"], dtype=float), ROBOT, CONFIG.noise).increment
+        increment = motion_from_wheels(
+            np.asarray(each["wheels"], dtype=float), ROBOT, CONFIG.noise
+        ).increment
         pose = se2.compose(pose, increment)
     slam = run(lying, preset("odometry"), start)
     np.testing.assert_allclose(slam.pose, pose, atol=1e-12)
@@ -140,7 +163,9 @@ def test_ranges_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("wheels", [[math.nan, 0.0], [0.1]])
-def test_wheels_that_are_not_two_finite_numbers_are_refused_and_move_nothing(wheels: list[float]) -> None:
+def test_wheels_that_are_not_two_finite_numbers_are_refused_and_move_nothing(
+    wheels: list[float],
+) -> None:
     slam = LineSlam(ROBOT, CONFIG, np.array([1.0, 2.0, 3.0]))
     with pytest.raises(ValueError, match="wheels must be 2 finite numbers"):
         slam.step({"ranges": np.ones(6), "wheels": np.array(wheels)})
@@ -176,7 +201,9 @@ def test_finish_uses_what_is_left_in_the_buffers() -> None:
 def test_observations_without_ranges_move_the_robot_and_measure_nothing() -> None:
     start = np.zeros(3)
     slam = LineSlam(ROBOT, CONFIG, start)
-    slam.step({"ranges": np.full(6, 0.7, dtype=np.float32), "wheels": np.zeros(2, dtype=np.float32)})
+    slam.step(
+        {"ranges": np.full(6, 0.7, dtype=np.float32), "wheels": np.zeros(2, dtype=np.float32)}
+    )
     assert slam.measured.all()
     for motion in ({"wheels": np.float32([0.1, 0.1])}, {"odometry": np.array([0.1, 0.0, 0.0])}):
         slam.step(motion)
@@ -200,7 +227,9 @@ def test_copies_go_on_as_the_slam_that_they_were_made_of(name: str) -> None:
 
 
 def counted(wheels: FloatArray, tick: float, seed: int) -> FloatArray:
-    """Travels (t, 2), m, as encoders with a tick, m, report them, which were somewhere within a tick at the start."""
+    """Travels (t, 2), m, as encoders with a tick, m, report them, which were somewhere within a
+    tick at the start.
+    """
     if not tick:
         return wheels
     totals = np.cumsum(wheels, axis=0) + np.random.default_rng(seed).uniform(0.0, tick, 2)
@@ -212,7 +241,10 @@ def mean_nees(noise: float, runs: int, tick: float = 0.0) -> float:
     found = []
     for seed in range(runs):
         log = laps_of_square(noise, seed)
-        slam, moments = LineSlam(FOUR_BEAMS, preset("consistent", NominalNoise(noise)), log.poses[0]), len(log) // 4
+        slam, moments = (
+            LineSlam(FOUR_BEAMS, preset("consistent", NominalNoise(noise)), log.poses[0]),
+            len(log) // 4,
+        )
         wheels = counted(np.array([seen["wheels"] for seen in log.observations]), tick, seed)
         for step, observation in enumerate(log.observations):
             slam.step({**observation, "wheels": wheels[step]})
@@ -234,7 +266,9 @@ def test_coarse_encoders_make_laps_about_as_wrong_as_believed() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise", "most"), [(0.0, 1.5), (0.02, 1.7), (0.04, 2.0)])
 def test_laps_are_not_much_more_wrong_than_believed(noise: float, most: float) -> None:
-    """The bars of the project; at 4 cm the mean lies at the upper end of the 95 % band of chi-square."""
+    """The bars of the project; at 4 cm the mean lies at the upper end of the 95 % band of
+    chi-square.
+    """
     assert 0.5 < mean_nees(noise, 30) < most
 
 

@@ -1,4 +1,6 @@
-"""The status: readings against a map, contradictions, sudden changes, faults of robots, and the smoothed path."""
+"""The status: readings against a map, contradictions, sudden changes, faults of robots, and the
+smoothed path.
+"""
 
 import math
 from dataclasses import replace
@@ -19,7 +21,14 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap, contradiction_test, drift_fit, slip_fit
 from limslam_agent.status.monitor import CARRIED, WINDOW, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of, step_rays
-from limslam_agent.status.status import Status, final_status_scores, lost_since, smoothed_status, status_scores, worst
+from limslam_agent.status.status import (
+    Status,
+    final_status_scores,
+    lost_since,
+    smoothed_status,
+    status_scores,
+    worst,
+)
 from limslam_agent.status.sudden_changes import Sight
 from limslam_env import LimSlamEnv, NominalNoise
 from limslam_env.geometry import se2
@@ -35,18 +44,22 @@ def steps_with(
     *,
     finds_places: bool = True,
 ) -> tuple[LimSlamAgent, list[dict[str, Any]]]:
-    """Explore until some seconds (``lasts``) after a fault began. A lost robot may look for its place.
+    """Explore until some seconds (``lasts``) after a fault began. A lost robot may look for its
+    place.
 
     Returns
     -------
     agent
         The agent at the end.
     rows
-        For each step the true ``info``, and the ``observation`` that the agent got. Its status is added to ``note``.
+        For each step the true ``info``, and the ``observation`` that the agent got. Its status is
+        added to ``note``.
     """
     env = LimSlamEnv(world, sensor_noise=noise, coverage_goal=None)
     settings = preset("consistent", NominalNoise(noise))
-    agent = LimSlamAgent(env.robot, settings if finds_places else replace(settings, finds_places=False))
+    agent = LimSlamAgent(
+        env.robot, settings if finds_places else replace(settings, finds_places=False)
+    )
     told, info = env.reset(seed=seed)
     agent.reset(info["pose"], seed)
     rows = []
@@ -57,7 +70,12 @@ def steps_with(
         if note is not None:
             note.append(agent.status)
         if fault.kind == KIDNAPPED and abs(info["time"] - fault.begin) < 1e-6:
-            env.carry(0, another_place(env.world, env.robot, info["pose"], np.random.default_rng(fault.seed)))
+            env.carry(
+                0,
+                another_place(
+                    env.world, env.robot, info["pose"], np.random.default_rng(fault.seed)
+                ),
+            )
         told, _, _, _, info = env.step(action)
     return agent, rows
 
@@ -88,11 +106,15 @@ def test_a_right_map_is_not_contradicted():
 def test_the_evidence_of_a_reading_at_a_wall_is_a_likelihood_ratio():
     wall = np.array([[1.5, -4.0, 1.5, 4.0]])
     rays = np.array([[0.5, 0.0, 1.0, 0.0, 1.03, 1.5, 0.0]])
-    (evidence,), _, _ = KnownMap(wall, FREE, RangeSensor(NOISE)).explained(rays, np.diag([0.01, 0.0, 0.04]))
+    (evidence,), _, _ = KnownMap(wall, FREE, RangeSensor(NOISE)).explained(
+        rays, np.diag([0.01, 0.0, 0.04])
+    )
     std = math.sqrt(NOISE**2 + 0.045**2 + 0.01 + 0.04)
     density = math.exp(-0.5 * (0.03 / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
     share_of_wrong, nothing = 0.02, 0.45
-    assert evidence == pytest.approx(math.log((1 - share_of_wrong) * density * 1.5 / (1 - nothing) + share_of_wrong))
+    assert evidence == pytest.approx(
+        math.log((1 - share_of_wrong) * density * 1.5 / (1 - nothing) + share_of_wrong)
+    )
 
 
 @pytest.mark.parametrize("ranges", [None, ROBOT.max_ranges], ids=["longer", "nothing seen"])
@@ -143,7 +165,9 @@ def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
 def test_a_slip_is_found_by_what_was_read_since_then(turn):
     whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
     start = np.array([*rays[0, :2], 0.0])
-    slip = se2.compose(se2.compose(start, np.array([0.0, 0.0, math.radians(turn)])), se2.inverse(start))
+    slip = se2.compose(
+        se2.compose(start, np.array([0.0, 0.0, math.radians(turn)])), se2.inverse(start)
+    )
     found = slip_fit(whole, moved(rays, slip))
     np.testing.assert_allclose(found.fit.pose, se2.inverse(slip), atol=0.06)
     assert found.evidence > whole.fit_here(moved(rays, slip)).evidence + 50.0
@@ -186,7 +210,8 @@ def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
     watched_levels(watched, 40)
     levels = watched_levels(watched, 10, walls=np.zeros((0, 4)), begin=40)
     assert levels.index("lost") <= 4
-    # The contradictions alone would suffice before it is known that the readings changed suddenly, and when.
+    # The contradictions alone would suffice before it is known that the readings changed suddenly,
+    # and when.
     assert watched.status == CARRIED
     assert watched.loss.is_dated
     assert watched.loss.is_carried
@@ -199,7 +224,9 @@ def test_a_robot_that_was_carried_away_is_lost_although_its_map_is_redrawn_aroun
     wrong = room(-3.0, -3.0, 3.0, 3.0)
     # After a step without readings, nothing has changed at once.
     watched.observe(blind(0.01), is_busy=True)
-    levels = watched_levels(watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=40)
+    levels = watched_levels(
+        watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=40
+    )
     assert levels.index("lost") < 10
     assert set(levels[levels.index("lost") :]) == {"lost"}
 
@@ -222,7 +249,9 @@ def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
     before = KnownMap(room(0.4, 0.4, 2.4, 2.4), FREE, SENSOR)
     for number in range(44):
         ranges = ranges_at(place(number), WALLS) - 0.1 * (number == 41)
-        watched.observe(Sight(place(number) + off, ranges, np.array([0.11, 0.0, 0.0])), is_busy=True)
+        watched.observe(
+            Sight(place(number) + off, ranges, np.array([0.11, 0.0, 0.0])), is_busy=True
+        )
         if number < 40:
             watched.check(SURE, before)
     assert watched.status == Status()
@@ -233,7 +262,9 @@ def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     watched = monitor()
     watched_levels(watched, 40)
-    assert watched.observe(Sight(place(40), ranges_at(place(40), WALLS), np.array([5.0, 0.0, 0.0])), is_busy=False)
+    assert watched.observe(
+        Sight(place(40), ranges_at(place(40), WALLS), np.array([5.0, 0.0, 0.0])), is_busy=False
+    )
     watched.check(SURE, KNOWN)
     assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
     assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
@@ -242,7 +273,10 @@ def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
 
 def test_a_beam_alone_is_no_proof():
     """Its readings change again and again, and contradict the map."""
-    watched, free = monitor(), GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16))
+    watched, free = (
+        monitor(),
+        GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16)),
+    )
     for number in range(100):
         ranges = ROBOT.max_ranges.copy()
         ranges[2] = 0.3 + 0.1 * (number % 9)
@@ -287,9 +321,13 @@ def test_the_scores_say_how_long_each_level_lasted():
     levels = np.array([[0, 0], [1, 0], [1, 0], [0, 2], [0, 2], [0, 1]])
     scores = status_scores(time, levels, Status("unsure", "a doubt"))
     assert scores == {
-        "status": "unsure", "status_reason": "a doubt", "ok_s": 1.0, "unsure_s": 2.0, "lost_s": 2.0,
+        "status": "unsure",
+        "status_reason": "a doubt",
+        "ok_s": 1.0,
+        "unsure_s": 2.0,
+        "lost_s": 2.0,
         "first_lost_s": 3.0,
-    }  # fmt: skip
+    }
     assert status_scores(time, np.zeros((6, 1), dtype=int), Status())["first_lost_s"] is None
 
 
@@ -306,10 +344,14 @@ def path(aside=0.0, std=0.05, heading_std=0.01):
 @pytest.mark.parametrize(
     ("share", "before", "level"),
     [
-        (0.001, "lost", "ok"), (0.003, "ok", "ok"), (0.003, "unsure", "unsure"), (0.003, "lost", "lost"),
-        (0.02, "ok", "unsure"), (0.05, "ok", "lost"),
+        (0.001, "lost", "ok"),
+        (0.003, "ok", "ok"),
+        (0.003, "unsure", "unsure"),
+        (0.003, "lost", "lost"),
+        (0.02, "ok", "unsure"),
+        (0.05, "ok", "lost"),
     ],
-)  # fmt: skip
+)
 def test_contradictions_of_the_smoothed_map_count(share, before, level):
     status = smoothed_status(share, path(), path(), while_driving=before)
     assert status.level == level
@@ -319,7 +361,8 @@ def test_contradictions_of_the_smoothed_map_count(share, before, level):
 
 @pytest.mark.parametrize(
     ("aside", "std", "level"),
-    # A small correction, a large one of a filter that was certain, and a large one of a filter that said it was lost.
+    # A small correction, a large one of a filter that was certain, and a large one of a filter that
+    # said it was lost.
     [(0.1, 0.01, "ok"), (0.8, 0.05, "unsure"), (0.8, 1.0, "ok")],
 )
 def test_large_corrections_of_a_certain_filter_are_unsure(aside, std, level):
@@ -347,9 +390,12 @@ def test_the_scores_have_the_status_of_the_result_and_of_the_filter():
     levels = np.array([[0, 0], [0, 0], [0, 2], [2, 0], [0, 2]])
     scores = final_status_scores(Status(), Status("lost", "a jump"), 3.0 + np.arange(5.0), levels)
     assert scores == {
-        "status": "ok", "status_reason": "", "status_note": "lost while driving, from 2 s to the end",
-        "status_online": "lost", "status_online_reason": "a jump",
-    }  # fmt: skip
+        "status": "ok",
+        "status_reason": "",
+        "status_note": "lost while driving, from 2 s to the end",
+        "status_online": "lost",
+        "status_online_reason": "a jump",
+    }
 
 
 BEGIN, NOISE = 30.0, 0.02
@@ -357,7 +403,12 @@ BEGIN, NOISE = 30.0, 0.02
 
 @pytest.mark.parametrize(
     ("kind", "world", "seed"),
-    [("kidnapped", "env2", 1), ("reversed", "env3", 1), ("swapped", "env1", 1), ("jump", "env2", 3)],
+    [
+        ("kidnapped", "env2", 1),
+        ("reversed", "env3", 1),
+        ("swapped", "env1", 1),
+        ("jump", "env2", 3),
+    ],
 )
 def test_a_fault_is_noticed_within_ten_seconds(kind, world, seed):
     levels = []
@@ -370,7 +421,9 @@ def test_a_fault_is_noticed_within_ten_seconds(kind, world, seed):
 
 
 def test_the_uncertainty_of_a_kidnapped_robot_outgrows_its_error():
-    agent, rows = steps_with(Fault("kidnapped", BEGIN, 1), "env2", NOISE, 25.0, seed=1, finds_places=False)
+    agent, rows = steps_with(
+        Fault("kidnapped", BEGIN, 1), "env2", NOISE, 25.0, seed=1, finds_places=False
+    )
     error = np.hypot(*(rows[-1]["pose"] - agent.snapshot().pose)[:2])
     snapshot = agent.snapshot()
     assert error > 1.0

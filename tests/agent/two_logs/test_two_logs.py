@@ -1,4 +1,6 @@
-"""Two logs of one building become one map, logs that do not fit stay apart, and one folder has the results of both."""
+"""Two logs of one building become one map, logs that do not fit stay apart, and one folder has the
+results of both.
+"""
 
 import json
 from dataclasses import replace
@@ -6,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.command_line import limslam
-from support.corridors import FOUR_BEAMS, SIX_BEAMS, corridor_log, later_part, plain_walls, uneven_walls
+from support.corridors import (
+    FOUR_BEAMS,
+    SIX_BEAMS,
+    corridor_log,
+    later_part,
+    plain_walls,
+    uneven_walls,
+)
 from support.drives import ROBOT, along, drive, room
 
 from limslam_agent import preset, replay_log
@@ -48,16 +57,22 @@ def lap_from(number):
 
 def pose_log(data, robot=SIX_BEAMS):
     return RecordedLog(
-        robot=robot, time=data.time, ranges=data.ranges.astype(np.float32), start_pose=np.zeros(3),
-        has_scan=np.ones(len(data.time), dtype=bool), odometry=data.odometry,
-    )  # fmt: skip
+        robot=robot,
+        time=data.time,
+        ranges=data.ranges.astype(np.float32),
+        start_pose=np.zeros(3),
+        has_scan=np.ones(len(data.time), dtype=bool),
+        odometry=data.odometry,
+    )
 
 
 def largest_error(both, truth, later):
     """The largest distance of a pose from the truth, in the frame of the first log's first pose."""
     errors = []
     for poses, true in zip(both.poses, (truth, later), strict=True):
-        off = se2.between(se2.between(truth[0], true), se2.compose(se2.inverse(both.poses[0][0]), poses))
+        off = se2.between(
+            se2.between(truth[0], true), se2.compose(se2.inverse(both.poses[0][0]), poses)
+        )
         errors.append(np.hypot(*off[:, :2].T).max())
     return max(errors)
 
@@ -74,7 +89,10 @@ def of_wheels():
 def of_poses():
     one, truth = corridor_log(bias=np.radians(0.5), world=uneven_walls())
     other, later = corridor_log(bias=np.radians(-0.5), seed=1, world=uneven_walls())
-    replays = replay_log(pose_log(one), CONFIG), replay_log(pose_log(later_part(other, LATER)), CONFIG)
+    replays = (
+        replay_log(pose_log(one), CONFIG),
+        replay_log(pose_log(later_part(other, LATER)), CONFIG),
+    )
     return joined(replays, silent), truth, later[LATER:]
 
 
@@ -102,7 +120,10 @@ def test_the_second_log_of_poses_lies_in_the_first_one(of_poses):
 @pytest.mark.parametrize("kind", ["wheels", "poses"])
 def test_a_building_that_looks_the_same_after_half_a_turn_is_refused(kind):
     if kind == "wheels":
-        logs = [wheel_log(lap_from(at), turn, at, plain_walls())[0] for at, turn in ((0, 0.0), (2, np.pi))]
+        logs = [
+            wheel_log(lap_from(at), turn, at, plain_walls())[0]
+            for at, turn in ((0, 0.0), (2, np.pi))
+        ]
     else:
         one, other = (corridor_log(world=plain_walls(), seed=seed)[0] for seed in (0, 1))
         logs = [pose_log(one), pose_log(later_part(other, LATER))]
@@ -115,9 +136,13 @@ def test_a_building_that_looks_the_same_after_half_a_turn_is_refused(kind):
 
 
 def test_logs_of_different_buildings_stay_apart(of_poses):
-    hall = np.vstack((room(0.0, 0.0, 12.0, 9.0), room(3.5, 3.0, 4.0, 3.5), room(6.0, 5.0, 8.5, 6.0)))
+    hall = np.vstack(
+        (room(0.0, 0.0, 12.0, 9.0), room(3.5, 3.0, 4.0, 3.5), room(6.0, 5.0, 8.5, 6.0))
+    )
     other, _ = corridor_log(world=hall, robot=FOUR_BEAMS, seed=2)
-    found = joined((of_poses[0].replays[0], replay_log(pose_log(other, FOUR_BEAMS), CONFIG)), silent)
+    found = joined(
+        (of_poses[0].replays[0], replay_log(pose_log(other, FOUR_BEAMS), CONFIG)), silent
+    )
     assert not found.is_joined
     assert found.record["event"] == "not joined"
     assert found.record["reason"] in found.status.reason
@@ -168,7 +193,14 @@ def test_two_short_logs_leave_one_folder_with_two_maps(tables, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "not joined" in done.stdout
     assert "unsure" in done.stdout
-    for name in (*LOG_FOLDERS, "map.json", "map_unplaced.json", "map.png", "run.toml", "trajectory_smoothed_1.tum"):
+    for name in (
+        *LOG_FOLDERS,
+        "map.json",
+        "map_unplaced.json",
+        "map.png",
+        "run.toml",
+        "trajectory_smoothed_1.tum",
+    ):
         assert (folder / name).exists(), name
     result = json.loads((folder / "result.json").read_text())
     assert result["metrics"]["status"] == "unsure"
@@ -180,7 +212,9 @@ def test_two_short_logs_leave_one_folder_with_two_maps(tables, tmp_path):
         read_run(folder).with_one_time()
     again = limslam("replay", "--config", folder / "run.toml", "--out", tmp_path / "again")
     assert again.returncode == 0, again.stderr
-    assert (tmp_path / "again" / "map_unplaced.json").read_text() == (folder / "map_unplaced.json").read_text()
+    assert (tmp_path / "again" / "map_unplaced.json").read_text() == (
+        folder / "map_unplaced.json"
+    ).read_text()
 
 
 @pytest.mark.parametrize(
@@ -191,7 +225,9 @@ def test_two_short_logs_leave_one_folder_with_two_maps(tables, tmp_path):
         (["third.csv"], "3 were given"),
     ],
 )
-def test_options_that_make_no_sense_with_two_logs_are_refused_in_one_line(tables, tmp_path, options, words):
+def test_options_that_make_no_sense_with_two_logs_are_refused_in_one_line(
+    tables, tmp_path, options, words
+):
     done = limslam("replay", *tables, "--robot", "paper", *options, "--out", tmp_path / "no")
     assert done.returncode == 2
     assert words in done.stderr

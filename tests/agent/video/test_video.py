@@ -1,4 +1,6 @@
-"""The video of a run: what its pictures show, what is said, and that its file is whole or not there."""
+"""The video of a run: what its pictures show, what is said, and that its file is whole or not
+there.
+"""
 
 import math
 from dataclasses import replace
@@ -54,7 +56,9 @@ def test_a_band_is_as_wide_as_the_line_may_be_off():
     upper, lower = band[:7], band[7:][::-1]
     random = np.random.default_rng(0)
     moved = line + random.multivariate_normal(np.zeros(2), covariance, size=4000)
-    for middle, half in zip(0.5 * (upper + lower), 0.5 * np.linalg.norm(upper - lower, axis=1), strict=True):
+    for middle, half in zip(
+        0.5 * (upper + lower), 0.5 * np.linalg.norm(upper - lower, axis=1), strict=True
+    ):
         off = [float(lines.distance(one, middle[None])[0]) for one in moved]
         assert half == pytest.approx(2.0 * np.std(off), rel=0.06)
 
@@ -87,7 +91,11 @@ def test_a_film_has_a_frame_every_fifth_of_a_second_and_pauses_to_explain():
         if film.is_due(time):
             due.append(time)
             events = [Event("new", 1)] if time == pytest.approx(1.0) else []
-            film.add(truth_picture(), frame_with(time=time, walls=[(1.0, 0.0, 0.0, 2.0)], events=events), 0.5)
+            film.add(
+                truth_picture(),
+                frame_with(time=time, walls=[(1.0, 0.0, 0.0, 2.0)], events=events),
+                0.5,
+            )
     film.finish("explored")
     np.testing.assert_allclose(due, np.arange(11) * (SPEED / FPS))
     holds = [hold for _, hold in collector.frames]
@@ -210,7 +218,10 @@ def test_nothing_is_left_of_a_run_that_was_stopped(tmp_path, suffix, failure):
 
 
 def test_a_video_without_a_frame_is_none(tmp_path):
-    with pytest.raises(VideoError, match="there are no frames"), video_file(tmp_path / "film.gif", FPS, SIZE):
+    with (
+        pytest.raises(VideoError, match="there are no frames"),
+        video_file(tmp_path / "film.gif", FPS, SIZE),
+    ):
         pass
     assert list(tmp_path.iterdir()) == []
 

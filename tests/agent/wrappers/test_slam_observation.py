@@ -1,4 +1,6 @@
-"""SlamObservation: what a robot believes, told to learning agents, and nothing that is true besides the start."""
+"""SlamObservation: what a robot believes, told to learning agents, and nothing that is true besides
+the start.
+"""
 
 import math
 import warnings
@@ -19,7 +21,9 @@ UNKNOWN, FREE, OCCUPIED = 0, 127, 255
 ACTIONS = [*[(0.6, 0.6)] * 25, *[(-0.4, 0.4)] * 10, *[(0.5, 0.6)] * 25]
 
 
-def driven(env: gym.Env[Any, Any], seed: int = 100) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+def driven(
+    env: gym.Env[Any, Any], seed: int = 100
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Observations and infos of a short drive."""
     observation, info = env.reset(seed=seed)
     observations, infos = [observation], [info]
@@ -74,7 +78,13 @@ class FalseInfo(gym.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> Any:
         observation, reward, terminated, truncated, info = self.env.step(action)
         info["pose"][:] = 1e3
-        return observation, reward, terminated, truncated, {**info, "coverage": -1.0, "wall_seen": None}
+        return (
+            observation,
+            reward,
+            terminated,
+            truncated,
+            {**info, "coverage": -1.0, "wall_seen": None},
+        )
 
 
 def test_nothing_true_goes_in_after_the_start() -> None:
@@ -122,9 +132,12 @@ def test_the_robot_is_in_the_middle_and_looks_up() -> None:
 
 @pytest.mark.parametrize("heading_deg", [90.0, 180.0])
 def test_the_picture_turns_with_the_robot(heading_deg: float) -> None:
-    # Env1 looks the same after a quarter turn about (3.5, 3.5); cells at their edges may fall to either side.
+    # Env1 looks the same after a quarter turn about (3.5, 3.5); cells at their edges may fall to
+    # either side.
     start, turn = np.array([3.43, 1.03]) - 3.5, math.radians(heading_deg)
-    x, y = 3.5 + start @ np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    x, y = 3.5 + start @ np.array(
+        [[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]]
+    )
     upright, turned = grid_from((3.43, 1.03, 0.0), 40), grid_from((x, y, turn), 40)
     assert (upright == turned).mean() > 0.9
     assert (np.rot90(upright) == turned).mean() < 0.9

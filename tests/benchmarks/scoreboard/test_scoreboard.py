@@ -10,7 +10,13 @@ from benchmarks import __main__ as command
 from benchmarks.scoreboard.board import read_board, run_scoreboard, size_of, table
 from benchmarks.scoreboard.compare import NOISE, compared, comparison_table
 from benchmarks.scoreboard.drives import recorded_drive, world_of
-from benchmarks.scoreboard.made_up_logs import known_relations, made_up_log, sparse_sensor, thinned, walls_of
+from benchmarks.scoreboard.made_up_logs import (
+    known_relations,
+    made_up_log,
+    sparse_sensor,
+    thinned,
+    walls_of,
+)
 from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
 from benchmarks.scoreboard.rows import Row, read_rows
 from limslam_agent.logs.relations import relation_errors
@@ -62,7 +68,10 @@ def drive(fault=None, *, jitter=0.0, **settings):
 
 
 def cells(row, values, **others):
-    return [{"row": row, "world": "w", "seed": seed, "ate_m": each, **others} for seed, each in enumerate(values)]
+    return [
+        {"row": row, "world": "w", "seed": seed, "ate_m": each, **others}
+        for seed, each in enumerate(values)
+    ]
 
 
 def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
@@ -80,7 +89,11 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
     lines = table(board)
     assert sum(line.startswith(("| nominal | 2 |", "| late | 1 |")) for line in lines) == 2
     found = compared(board["cells"], board["cells"])
-    assert [(each.row, each.ratios["ate_m"].value) for each in found] == [("nominal", 1.0), ("late", 1.0), ("all", 1.0)]
+    assert [(each.row, each.ratios["ate_m"].value) for each in found] == [
+        ("nominal", 1.0),
+        ("late", 1.0),
+        ("all", 1.0),
+    ]
     assert comparison_table(found)[-1] == "no row is worse (2 rows compared)"
 
 
@@ -117,9 +130,18 @@ def test_rows_without_data_are_left_out(tmp_path, monkeypatch, tiny):
     [
         ("", "tuning_seed"),
         ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "flight"', "kind"),
-        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "drive"\nwheels = 3', "wheels"),
+        (
+            'tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "drive"\nwheels = 3',
+            "wheels",
+        ),
         ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "log"', "a log needs"),
-        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "made-up log"\nrobots = 2', "robots"),
+        (
+            (
+                "tuning_seed = 1\nunused_seed = 2\n"
+                '[[row]]\nname = "a"\nkind = "made-up log"\nrobots = 2'
+            ),
+            "robots",
+        ),
         (TINY.replace('"late"\nkind', '"nominal"\nkind'), "a name of its own"),
     ],
 )
@@ -132,14 +154,18 @@ def test_bad_rows_are_refused_in_one_line(text, words, tmp_path):
     assert "bad.toml" in str(error.value)
 
 
-def test_a_pattern_that_matches_nothing_and_a_board_that_is_none_are_refused(tmp_path, monkeypatch, capsys):
+def test_a_pattern_that_matches_nothing_and_a_board_that_is_none_are_refused(
+    tmp_path, monkeypatch, capsys
+):
     (tmp_path / "no.json").write_text('{"cells": [{"row": "a"}]}')
     for arguments, words in (
         (["--rows", "drive*,zzz"], "'zzz'"),
         (["--against", str(tmp_path / "no.json")], "is no scoreboard"),
         (["--against", str(tmp_path / "absent")], "no scoreboard there"),
     ):
-        monkeypatch.setattr("sys.argv", ["benchmarks", "scoreboard", str(tmp_path / "out"), *arguments])
+        monkeypatch.setattr(
+            "sys.argv", ["benchmarks", "scoreboard", str(tmp_path / "out"), *arguments]
+        )
         with pytest.raises(SystemExit, match="2"):
             command.main()
         lines = capsys.readouterr().err.splitlines()
@@ -149,25 +175,44 @@ def test_a_pattern_that_matches_nothing_and_a_board_that_is_none_are_refused(tmp
 
 def test_the_shipped_rows_differ_between_the_seeds():
     rows = read_rows()
-    jobs = [job.key for first in (rows.tuning_seed, rows.unused_seed) for row in rows.row for job in row.cells(first)]
-    # Recorded logs have no seed that could be another one, but their names say which seeds were chosen.
+    jobs = [
+        job.key
+        for first in (rows.tuning_seed, rows.unused_seed)
+        for row in rows.row
+        for job in row.cells(first)
+    ]
+    # Recorded logs have no seed that could be another one, but their names say which seeds were
+    # chosen.
     assert len(set(jobs)) == len(jobs)
 
 
 def test_worse_rows_are_named_and_better_ones_are_not():
     old = [*cells("a", [0.1, 0.1, 0.1, 0.1]), *cells("b", [0.1, 0.2, 0.1, 0.2]), *cells("c", [0.1])]
-    new = [*cells("a", [0.2, 0.21, 0.19, 0.2]), *cells("b", [0.05, 0.1, 0.05, 0.1]), *cells("c", [0.1])]
+    new = [
+        *cells("a", [0.2, 0.21, 0.19, 0.2]),
+        *cells("b", [0.05, 0.1, 0.05, 0.1]),
+        *cells("c", [0.1]),
+    ]
     found = {each.row: each for each in compared(old, new)}
     assert [bool(found[name].reasons) for name in "abc"] == [True, False, False]
-    assert comparison_table(list(found.values()))[-1].startswith("worse beyond noise: a (ate_m 2.00 [")
+    assert comparison_table(list(found.values()))[-1].startswith(
+        "worse beyond noise: a (ate_m 2.00 ["
+    )
     assert found["all"].pairs == 9
     # Noise of the scoreboard itself is no reason.
-    assert not compared(old[:4], cells("a", [0.1 * math.exp(NOISE["ate_m"])] + 3 * [0.1]))[0].reasons
+    assert not compared(old[:4], cells("a", [0.1 * math.exp(NOISE["ate_m"])] + 3 * [0.1]))[
+        0
+    ].reasons
 
 
 def test_wrong_and_ok_at_the_end_false_alarms_and_failures_count():
     old = cells("a", [0.1] * 4, wrong_ok_end=0, false_alarm_s=0.0, placed=1, f1_5cm=0.9)
-    assert "1 failed" in compared(old, [*old[:3], {"row": "a", "world": "w", "seed": 3, "error": "no"}])[0].reasons
+    assert (
+        "1 failed"
+        in compared(old, [*old[:3], {"row": "a", "world": "w", "seed": 3, "error": "no"}])[
+            0
+        ].reasons
+    )
     for change, words in (
         ({"wrong_ok_end": 1}, "4 more wrong and ok at the end"),
         ({"false_alarm_s": 3.0}, "false_alarm_s +12 s"),
@@ -239,7 +284,8 @@ def test_a_bumping_robot_touches_walls():
 def test_the_size_of_sources_is_counted(tmp_path):
     path = tmp_path / "part.py"
     path.write_text(
-        '"""A part."""\n\nONE = 1\nNAME = "a"\nPAIR = (2, "b")\n\n\ndef f(x):\n    """F."""\n    y = 3\n    return y\n'
+        '"""A part."""\n\nONE = 1\nNAME = "a"\nPAIR = (2, "b")\n\n\ndef f(x):\n    """F."""\n    '
+        "y = 3\n    return y\n"
     )
     assert size_of([path]) == {"lines": 11, "files": 1, "constants": 2}
 

@@ -1,4 +1,6 @@
-"""Suites that run: every engine gives the same numbers, a kill loses nothing, and a job that dies ends no other."""
+"""Suites that run: every engine gives the same numbers, a kill loses nothing, and a job that dies
+ends no other.
+"""
 
 import multiprocessing
 import os
@@ -61,7 +63,9 @@ seeds = [0, 1]
 """
 KILLS, SEED = 2, 20160704
 GUARD = 300.0
-"""Longest wait, s. It only keeps a test from waiting forever: what is awaited takes seconds, even on a busy machine."""
+"""Longest wait, s. It only keeps a test from waiting forever: what is awaited takes seconds, even
+on a busy machine.
+"""
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +93,18 @@ def comparable(folder):
 
 
 def command(suite, out):
-    return [sys.executable, "-m", "benchmarks", "run", "--suite", str(suite), "--out", str(out), "--workers", "2"]
+    return [
+        sys.executable,
+        "-m",
+        "benchmarks",
+        "run",
+        "--suite",
+        str(suite),
+        "--out",
+        str(out),
+        "--workers",
+        "2",
+    ]
 
 
 def count_lines(path):
@@ -97,7 +112,10 @@ def count_lines(path):
 
 
 def workers_of(run):
-    return [Path("/proc", number) for number in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()]
+    return [
+        Path("/proc", number)
+        for number in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()
+    ]
 
 
 def await_end(workers):
@@ -124,10 +142,13 @@ def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_pa
     suite, out = tmp_path / "tiny.toml", tmp_path / "out"
     suite.write_text(TINY)
     for _ in range(KILLS):
-        # Counted in rows and not in seconds alone, so that slow machines and fast ones are killed in their work.
+        # Counted in rows and not in seconds alone, so that slow machines and fast ones are killed
+        # in their work.
         enough = count_lines(out / RESULTS) + int(draw.integers(3))
         run = subprocess.Popen(command(suite, out), stderr=subprocess.PIPE, start_new_session=True)
-        while run.poll() is None and (count_lines(out / RESULTS) < enough or not (out / STAMP).is_file()):
+        while run.poll() is None and (
+            count_lines(out / RESULTS) < enough or not (out / STAMP).is_file()
+        ):
             time.sleep(0.01)
         time.sleep(draw.uniform(0.0, 0.4))
         workers = workers_of(run)
@@ -150,21 +171,29 @@ REASONS = {
 
 
 def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(tmp_path):
-    suite, before = Suite("troubled", "", tuple(TROUBLED), "d"), {name: os.environ.get(name) for name in ONE_THREAD}
+    suite, before = (
+        Suite("troubled", "", tuple(TROUBLED), "d"),
+        {name: os.environ.get(name) for name in ONE_THREAD},
+    )
     summary = run_suite(suite, tmp_path, Processes(2, GUARD), work=benchmark_work.troubled)
     rows = {row.seed: row for row in read_rows(tmp_path)}
     assert rows.keys() == {job.seed for job in TROUBLED}
     reasons = {seed: row.error for seed, row in rows.items() if row.error is not None}
     assert reasons == REASONS
-    assert dict(summary.failures) == {TROUBLED[seed].title: reason for seed, reason in reasons.items()}
+    assert dict(summary.failures) == {
+        TROUBLED[seed].title: reason for seed, reason in reasons.items()
+    }
     one_thread = {**ONE_THREAD, "cv2": 1}
     well = {seed: row.metrics for seed, row in rows.items() if row.error is None}
     assert well == {seed: {"seed": seed, **one_thread} for seed in (0, 4, 5)}
-    assert {name: os.environ.get(name) for name in ONE_THREAD} == before, "what is set for workers stays with them"
+    assert {name: os.environ.get(name) for name in ONE_THREAD} == before, (
+        "what is set for workers stays with them"
+    )
 
 
 def test_a_job_that_hangs_is_given_up_and_the_next_one_is_done():
-    # Until a worker starts a job its clock does not run, so that a time-out of a second is enough on any machine.
+    # Until a worker starts a job its clock does not run, so that a time-out of a second is enough
+    # on any machine.
     hangs, well = (replace(TROUBLED[0], seed=seed) for seed in (benchmark_work.HANGS, 0))
     results = dict(Processes(1, 1.0).run([hangs, well], benchmark_work.troubled))
     assert results[hangs] == Failure("time-out: not done after 1 s")
@@ -181,9 +210,22 @@ def test_workers_end_when_the_caller_stops_listening():
 def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
     (tmp_path / "hasty.toml").write_text(HASTY)
     out = tmp_path / "out"
-    done = benchmarks("run", "--suite", tmp_path / "hasty.toml", "--out", out, "--workers", "2", "--timeout", "0.01")
+    done = benchmarks(
+        "run",
+        "--suite",
+        tmp_path / "hasty.toml",
+        "--out",
+        out,
+        "--workers",
+        "2",
+        "--timeout",
+        "0.01",
+    )
     assert done.returncode == 1
-    assert "failed: env1, 0 cm, paper, frontier, seed 0: time-out: not done after 0.01 s" in done.stderr
+    assert (
+        "failed: env1, 0 cm, paper, frontier, seed 0: time-out: not done after 0.01 s"
+        in done.stderr
+    )
     assert "2 of 2 jobs done, 2 failed" in done.stdout
     assert all(row.error for row in read_rows(out))
 

@@ -1,4 +1,6 @@
-"""The batch on a GPU, in numba's simulator of CUDA and as far as it can be compiled without a GPU."""
+"""The batch on a GPU, in numba's simulator of CUDA and as far as it can be compiled without a
+GPU.
+"""
 
 import os
 import subprocess
@@ -7,7 +9,8 @@ import sys
 import gymnasium as gym
 import pytest
 
-# The simulator runs the kernel in Python and what it calls as on the processor: the results are the same bits.
+# The simulator runs the kernel in Python and what it calls as on the processor: the results are the
+# same bits.
 COMPARED = """
 import gymnasium as gym
 import numpy as np
@@ -15,7 +18,9 @@ import limslam_env
 from limslam_env import FloorPlanConfig, NoiseConfig
 
 def compare(name, steps, **arguments):
-    here, there = (gym.make_vec(name, num_envs=3, device=device, **arguments) for device in ("cpu", "cuda"))
+    here, there = (
+        gym.make_vec(name, num_envs=3, device=device, **arguments) for device in ("cpu", "cuda")
+    )
     generator = np.random.default_rng(0)
     ours, theirs, ended = here.reset(seed=4), there.reset(seed=4), 0
     for step in range(steps):

@@ -1,4 +1,6 @@
-"""Given starts of many environments: checked together, with the coverage that each of them gives."""
+"""Given starts of many environments: checked together, with the coverage that each of them
+gives.
+"""
 
 import numpy as np
 import pytest
@@ -51,7 +53,9 @@ def test_the_first_start_that_cannot_be_is_named():
     world = load_world("env1")
     starts = starts_in(world, 50, 1)
     starts[[20, 30], :2] = [[-3.0, 0.0], [1e3, 1e3]]
-    with pytest.raises(ValueError, match=r"start \(-3, 0, .*\) collides|start \(-3, 0, .*\) lies in a region"):
+    with pytest.raises(
+        ValueError, match=r"start \(-3, 0, .*\) collides|start \(-3, 0, .*\) lies in a region"
+    ):
         Places(world, ROBOT, 1, 50).begin(np.arange(50), keys_of(50), starts[:, None])
     starts[10, 1] = np.nan
     with pytest.raises(ValueError, match="three finite numbers"):

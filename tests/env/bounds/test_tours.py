@@ -10,18 +10,28 @@ from limslam_env.bounds import Roadmap, Speeds, loop_tour, poses_along
 
 ROBOT = RobotSpec()
 ROOM = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]
-# Two rooms and a door of 0.3 m, where the robot's disc of 0.2 m has 5 cm to spare on either side; a room without one.
-ROOMS = World("rooms", (6.0, 3.0), [*ROOM, [2, 0, 2, 1.7], [2, 2.0, 2, 3], [4, 0, 6, 0], [6, 0, 6, 3], [6, 3, 4, 3]])
+# Two rooms and a door of 0.3 m, where the robot's disc of 0.2 m has 5 cm to spare on either side; a
+# room without one.
+ROOMS = World(
+    "rooms",
+    (6.0, 3.0),
+    [*ROOM, [2, 0, 2, 1.7], [2, 2.0, 2, 3], [4, 0, 6, 0], [6, 0, 6, 3], [6, 3, 4, 3]],
+)
 SCREEN = World("screen", (4.0, 3.0), [*ROOM, [2, 0, 2, 2]])
 START = np.array([1.0, 1.0, 0.0])
 
 
 def test_poses_of_a_drive_by_hand():
-    # 0.09 m are three steps of 0.03 m; half a turn takes two steps of a quarter, and then 0.04 m two more.
+    # 0.09 m are three steps of 0.03 m; half a turn takes two steps of a quarter, and then 0.04 m
+    # two more.
     speeds = Speeds(0.3, 0.5 * math.pi / ROBOT.control_period)
     poses = poses_along(np.zeros(3), np.array([[0.09, 0.0], [0.05, 0.0]]), ROBOT, speeds)
-    np.testing.assert_allclose(poses[:, 0], [0.0, 0.03, 0.06, 0.09, 0.09, 0.09, 0.06, 0.05], atol=1e-12)
-    np.testing.assert_allclose(np.abs(poses[:, 2]), [0, 0, 0, 0, 0.5 * math.pi, math.pi, math.pi, math.pi])
+    np.testing.assert_allclose(
+        poses[:, 0], [0.0, 0.03, 0.06, 0.09, 0.09, 0.09, 0.06, 0.05], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        np.abs(poses[:, 2]), [0, 0, 0, 0, 0.5 * math.pi, math.pi, math.pi, math.pi]
+    )
     assert not poses[:, 1].any()
 
 
@@ -45,11 +55,25 @@ def test_where_there_is_no_room_there_is_no_tour():
 
 def test_the_only_way_through_a_long_slanted_passage_is_found():
     # 3 m long and 0.3 m wide: no two places of the grid on its axis see each other.
-    ahead, left = np.array([math.cos(0.2), math.sin(0.2)]), np.array([-math.sin(0.2), math.cos(0.2)])
+    ahead, left = (
+        np.array([math.cos(0.2), math.sin(0.2)]),
+        np.array([-math.sin(0.2), math.cos(0.2)]),
+    )
     right_ends = np.array([[2.0, 1.0], [2.0, 1.0] + 3.0 * ahead])
     left_ends = right_ends + 0.3 * left
     (x1, x2), (x3, x4) = right_ends[:, 0], left_ends[:, 0]
-    corners = [(0, 0), (x1, 0), *right_ends, (x2, 0), (8, 0), (8, 4), (x4, 4), *left_ends[::-1], (x3, 4), (0, 4)]
+    corners = [
+        (0, 0),
+        (x1, 0),
+        *right_ends,
+        (x2, 0),
+        (8, 0),
+        (8, 4),
+        (x4, 4),
+        *left_ends[::-1],
+        (x3, 4),
+        (0, 4),
+    ]
     world = World("passage", (8.0, 4.0), np.hstack((corners, np.roll(corners, -1, axis=0))))
     roads = Roadmap(world, ROBOT.radius, np.array([0.5, 3.5]))
     assert (roads.places[:, 0] > 5.5).sum() > 20

@@ -1,4 +1,6 @@
-"""The Gymnasium environment: its checker, the contracts of its docstring, refusals, and reproducibility."""
+"""The Gymnasium environment: its checker, the contracts of its docstring, refusals, and
+reproducibility.
+"""
 
 import copy
 import hashlib
@@ -45,7 +47,10 @@ def table(section: str, of: type = LimSlamEnv) -> list[dict[str, str]]:
     """The rows of the table in one section of a class docstring."""
     documentation = inspect.getdoc(of)
     body = documentation.split(f"## {section}\n", 1)[1].split("\n## ", 1)[0]
-    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in re.findall(r"^\|.*\|$", body, re.MULTILINE)]
+    rows = [
+        [cell.strip() for cell in row.strip("|").split("|")]
+        for row in re.findall(r"^\|.*\|$", body, re.MULTILINE)
+    ]
     head, ruler, *rest = rows
     assert set("".join(ruler)) == {"-"}
     return [dict(zip(head, row, strict=True)) for row in rest]
@@ -56,7 +61,14 @@ def follow(env, actions, seed: int) -> list[np.ndarray]:
     rows = [env.reset(seed=seed)]
     rows += [(observation, info) for observation, _, _, _, info in map(env.step, actions)]
     return [
-        np.concatenate((observation["ranges"], observation["wheels"], info["pose"], [info["coverage"], info["time"]]))
+        np.concatenate(
+            (
+                observation["ranges"],
+                observation["wheels"],
+                info["pose"],
+                [info["coverage"], info["time"]],
+            )
+        )
         for observation, info in rows
     ]
 
@@ -101,7 +113,9 @@ def test_the_ids_are_registered_with_the_default_limit():
     assert registered == set(IDS)
 
 
-@pytest.mark.parametrize(("name", "world"), [(ID, "env1"), ("LimSlam-Env2-v0", "env2"), ("LimSlam-Env3-v0", "env3")])
+@pytest.mark.parametrize(
+    ("name", "world"), [(ID, "env1"), ("LimSlam-Env2-v0", "env2"), ("LimSlam-Env3-v0", "env3")]
+)
 def test_an_id_is_its_world(name, world):
     env = gym.make(name)
     _, info = env.reset(seed=0)
@@ -111,8 +125,16 @@ def test_an_id_is_its_world(name, world):
 
 def test_the_world_id_takes_a_name_a_path_or_a_world(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text('name = "mine"\nsize = [2, 2]\nwalls = [[0,0,2,0],[2,0,2,2],[2,2,0,2],[0,2,0,0]]', encoding="utf-8")
-    for source, name in (("square", "square"), (str(path), "mine"), (path, "mine"), (load_world("env1"), "env1")):
+    path.write_text(
+        'name = "mine"\nsize = [2, 2]\nwalls = [[0,0,2,0],[2,0,2,2],[2,2,0,2],[0,2,0,0]]',
+        encoding="utf-8",
+    )
+    for source, name in (
+        ("square", "square"),
+        (str(path), "mine"),
+        (path, "mine"),
+        (load_world("env1"), "env1"),
+    ):
         env = gym.make("LimSlam-World-v0", world=source).unwrapped
         env.reset(seed=0)
         assert env.world.name == name
@@ -156,7 +178,9 @@ def test_wall_seen_names_the_wall_that_the_range_ends_on():
             assert (wall == -1) == (reading == np.float32(1.5))
             if wall >= 0 and reading > 0.05:
                 x1, y1, x2, y2 = world.edges[wall]
-                off = abs((x2 - x1) * (end[1] - y1) - (y2 - y1) * (end[0] - x1)) / np.hypot(x2 - x1, y2 - y1)
+                off = abs((x2 - x1) * (end[1] - y1) - (y2 - y1) * (end[0] - x1)) / np.hypot(
+                    x2 - x1, y2 - y1
+                )
                 assert off < 1e-6
                 hits.add(int(wall))
     assert len(hits) >= 3
@@ -206,7 +230,9 @@ def test_an_episode_elsewhere_leaves_no_trace():
     env.reset(seed=5, options={"world": "env3"})
     for action in held_actions(200):
         env.step(action)
-    for one, other in zip(follow(env, held_actions(100), 7), follow(fresh, held_actions(100), 7), strict=True):
+    for one, other in zip(
+        follow(env, held_actions(100), 7), follow(fresh, held_actions(100), 7), strict=True
+    ):
         np.testing.assert_array_equal(one, other)
 
 
@@ -226,7 +252,12 @@ def test_the_random_id_draws_another_plan_at_each_reset():
 
 def test_there_is_no_floor_plan_before_the_first_reset():
     env = LimSlamEnv("random", render_mode="rgb_array")
-    for ask in (lambda: env.world, lambda: env.seen, lambda: env.coverage_grid, lambda: env.step(AHEAD)):
+    for ask in (
+        lambda: env.world,
+        lambda: env.seen,
+        lambda: env.coverage_grid,
+        lambda: env.step(AHEAD),
+    ):
         with pytest.raises(gym.error.ResetNeeded):
             ask()
 
@@ -278,15 +309,23 @@ def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
 
 def test_actions_out_of_range_are_clipped():
     # Each number is finite: only the sum of the largest two is not.
-    for wild, tame in (([1.7e308, 1.7e308], [1.0, 1.0]), ([-1.1, 1.1], [-1.0, 1.0]), ([4.0, 0.2], [1.0, 0.2])):
+    for wild, tame in (
+        ([1.7e308, 1.7e308], [1.0, 1.0]),
+        ([-1.1, 1.1], [-1.0, 1.0]),
+        ([4.0, 0.2], [1.0, 0.2]),
+    ):
         np.testing.assert_array_equal(
-            follow(LimSlamEnv("env1"), [np.array(wild)] * 3, 3), follow(LimSlamEnv("env1"), [np.array(tame)] * 3, 3)
+            follow(LimSlamEnv("env1"), [np.array(wild)] * 3, 3),
+            follow(LimSlamEnv("env1"), [np.array(tame)] * 3, 3),
         )
 
 
 def test_space_bounds_are_finite_and_those_of_the_robot():
     env = LimSlamEnv(
-        "env1", robot=RobotSpec(beams=beams_on_rim((0.0, 90.0), 0.1, min_range=0.1, max_range=3.0), max_wheel_speed=0.5)
+        "env1",
+        robot=RobotSpec(
+            beams=beams_on_rim((0.0, 90.0), 0.1, min_range=0.1, max_range=3.0), max_wheel_speed=0.5
+        ),
     )
     ranges, wheels = env.observation_space["ranges"], env.observation_space["wheels"]
     np.testing.assert_allclose([ranges.low, ranges.high], [[0.1, 0.1], [3.0, 3.0]])
@@ -299,13 +338,19 @@ def test_an_episode_is_the_same_in_another_process_to_the_last_bit():
     code = "import sys; sys.path.append('../..')\n"
     code += "import test_env; print(*(test_env.episode_digest(name, 6) for name in test_env.IDS))"
     command = [sys.executable, "-c", code]
-    there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    there = subprocess.run(
+        command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+    )
     here = [episode_digest(name, 6) for name in IDS]
     assert there.stdout.split() == here
     assert len({*here, *(episode_digest(name, 7) for name in IDS)}) == 2 * len(IDS)
 
 
-@pytest.mark.parametrize("clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])  # noqa: S301 (our own bytes)
+@pytest.mark.parametrize(
+    "clone",
+    [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))],  # noqa: S301 (our own bytes)
+    ids=["copy", "pickle"],
+)
 @pytest.mark.parametrize("name", [ID, "LimSlam-Random-v0"])
 def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
     env = gym.make(name, noise=EVERYTHING, max_episode_steps=700)
@@ -321,14 +366,19 @@ def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
         assert bits(copied.step(action)) == bits(results[-1])
     assert any(info["collision"] for *_, info in results)
     assert all(info["cost"] == (1.0 if info["collision"] else 0.0) for *_, info in results)
-    # The next episode without a seed follows from the same generator, and the limit of steps is the same.
+    # The next episode without a seed follows from the same generator, and the limit of steps is the
+    # same.
     for action in actions[600:]:
         assert env.step(action)[3] == copied.step(action)[3]
     assert bits(env.reset()) == bits(copied.reset())
 
 
 def test_noise_given_as_ranges_is_another_in_each_episode():
-    env = gym.make(ID, sensor_noise=(0.01, 0.04), noise=NoiseConfig(slip_rate=(0.0, 2.0), wheel_mismatch=(-0.1, 0.1)))
+    env = gym.make(
+        ID,
+        sensor_noise=(0.01, 0.04),
+        noise=NoiseConfig(slip_rate=(0.0, 2.0), wheel_mismatch=(-0.1, 0.1)),
+    )
     spreads = []
     for seed in range(12):
         env.reset(seed=seed, options={"start": (1.0, 3.0, 0.0)})
@@ -342,7 +392,9 @@ def test_noise_given_as_ranges_is_another_in_each_episode():
 
 
 def test_sensor_noise_overrides_that_of_noise_and_nothing_else():
-    env = LimSlamEnv("env1", sensor_noise=0.04, noise=NoiseConfig(sensor_noise=0.02, wheel_variance=1e-4))
+    env = LimSlamEnv(
+        "env1", sensor_noise=0.04, noise=NoiseConfig(sensor_noise=0.02, wheel_variance=1e-4)
+    )
     assert (env.noise.sensor_noise, env.noise.wheel_variance) == (0.04, 1e-4)
     assert LimSlamEnv("env1", noise=NoiseConfig(sensor_noise=0.02)).noise.sensor_noise == 0.02
     assert LimSlamEnv("env1", sensor_noise=(0.0, 0.04)).noise.sensor_noise == (0.0, 0.04)
@@ -385,7 +437,9 @@ def test_an_overlay_is_drawn_over_later_pictures():
 def test_gymnasium_records_a_video(tmp_path):
     pytest.importorskip("moviepy")
     env = gym.wrappers.RecordVideo(
-        gym.make(ID, render_mode="rgb_array"), str(tmp_path / "video"), episode_trigger=lambda _: True
+        gym.make(ID, render_mode="rgb_array"),
+        str(tmp_path / "video"),
+        episode_trigger=lambda _: True,
     )
     env.reset(seed=0)
     for _ in range(12):
@@ -435,8 +489,12 @@ def test_the_table_of_observations_agrees_with_the_space():
     }
     for key, space in env.observation_space.items():
         assert meaning[rows[key]["Shape"]] == space.shape
-        np.testing.assert_allclose(space.low, np.broadcast_to(meaning[rows[key]["Min"]], space.shape), rtol=1e-6)
-        np.testing.assert_allclose(space.high, np.broadcast_to(meaning[rows[key]["Max"]], space.shape), rtol=1e-6)
+        np.testing.assert_allclose(
+            space.low, np.broadcast_to(meaning[rows[key]["Min"]], space.shape), rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            space.high, np.broadcast_to(meaning[rows[key]["Max"]], space.shape), rtol=1e-6
+        )
         assert space.dtype == np.float32
 
 
@@ -459,7 +517,11 @@ def test_the_table_of_arguments_agrees_with_the_signature(make):
     env = make("env1")
     # None stands for these.
     made = {"RobotSpec()": env.robot, "NoiseConfig()": env.noise, "RewardConfig()": env.task.reward}
-    assert made == {"RobotSpec()": RobotSpec(), "NoiseConfig()": NoiseConfig(), "RewardConfig()": RewardConfig()}
+    assert made == {
+        "RobotSpec()": RobotSpec(),
+        "NoiseConfig()": NoiseConfig(),
+        "RewardConfig()": RewardConfig(),
+    }
     for parameter in parameters:
         told = rows[parameter.name]
         if parameter.name == "world":

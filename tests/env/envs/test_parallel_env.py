@@ -1,4 +1,6 @@
-"""Several robots in one building: PettingZoo's checkers, the contract, refusals, and bodies that meet."""
+"""Several robots in one building: PettingZoo's checkers, the contract, refusals, and bodies that
+meet.
+"""
 
 import hashlib
 import importlib
@@ -54,7 +56,10 @@ def named_actions(robots: int, count: int, seed: int = 0) -> list[dict]:
 def episode_digest(robots: int, seed: int, steps: int, world: str = "env3") -> str:
     """A name for everything that an episode gives; another process calls this, too."""
     env = LimSlamParallelEnv(world, num_robots=robots, noise=EVERYTHING)
-    results = [env.reset(seed=seed), *(env.step(actions) for actions in named_actions(robots, steps))]
+    results = [
+        env.reset(seed=seed),
+        *(env.step(actions) for actions in named_actions(robots, steps)),
+    ]
     return hashlib.sha256(b"".join(bits(result) for result in results)).hexdigest()
 
 
@@ -74,7 +79,9 @@ def test_pettingzoo_finds_nothing_to_warn_of(robots, max_cycles):
     parallel_api_test(env, num_cycles=300)
 
 
-@pytest.mark.parametrize("arguments", [{"noise": EVERYTHING}, {"shared_reward": True}, {"coverage_goal": 0.3}])
+@pytest.mark.parametrize(
+    "arguments", [{"noise": EVERYTHING}, {"shared_reward": True}, {"coverage_goal": 0.3}]
+)
 def test_pettingzoo_finds_nothing_to_warn_of_whatever_the_arguments(arguments):
     parallel_api_test(LimSlamParallelEnv("random", num_robots=3, **arguments), num_cycles=200)
 
@@ -131,7 +138,9 @@ def test_observations_and_info_are_what_the_contract_says():
         observations, rewards, terminations, truncations, infos = env.step(actions)
         assert list(rewards) == list(terminations) == list(truncations) == env.possible_agents
         assert {type(reward) for reward in rewards.values()} == {float}
-        assert {type(flag) for flags in (terminations, truncations) for flag in flags.values()} == {bool}
+        assert {type(flag) for flags in (terminations, truncations) for flag in flags.values()} == {
+            bool
+        }
 
 
 def test_every_array_is_fresh():
@@ -154,20 +163,31 @@ def test_every_array_is_fresh():
         result = env.step(all_alike(env))
         assert bits(result) == bits(plain.step(all_alike(plain)))
         for name in env.agents:
-            for array in (*result[0][name].values(), result[4][name]["pose"], result[4][name]["wall_seen"]):
+            for array in (
+                *result[0][name].values(),
+                result[4][name]["pose"],
+                result[4][name]["wall_seen"],
+            ):
                 array[:] = 0
 
 
 def test_another_process_gives_the_same_bits_too():
     code = "import sys; sys.path.append('../..')\n"
-    code += "import test_parallel_env as t; print(t.episode_digest(3, 5, 1000), t.episode_digest(3, 5, 100, 'random'))"
+    code += (
+        "import test_parallel_env as t; print(t.episode_digest(3, 5, 1000), t.episode_digest(3, "
+        "5, 100, 'random'))"
+    )
     command = [sys.executable, "-c", code]
-    there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+    there = subprocess.run(
+        command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+    )
     assert there.stdout.split() == [episode_digest(3, 5, 1000), episode_digest(3, 5, 100, "random")]
     assert episode_digest(3, 6, 100, "random") != episode_digest(3, 5, 100, "random")
 
 
-@pytest.mark.parametrize("world", ["env1", "env2", hall(), "random"], ids=["env1", "env2", "no starts", "random"])
+@pytest.mark.parametrize(
+    "world", ["env1", "env2", hall(), "random"], ids=["env1", "env2", "no starts", "random"]
+)
 def test_the_first_robot_starts_where_it_would_alone(world):
     env, single = LimSlamParallelEnv(world, num_robots=5), LimSlamEnv(world)
     for seed in (4, None, 7):
@@ -200,11 +220,15 @@ def test_a_robot_that_stands_is_pushed_and_says_so():
 
 def test_robots_see_each_other_s_bodies():
     env = LimSlamParallelEnv("square", robot=FRONT)
-    observations, infos = env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (3.0, 1.0, math.pi)]})
+    observations, infos = env.reset(
+        seed=0, options={"start": [(2.0, 1.0, 0.0), (3.0, 1.0, math.pi)]}
+    )
     for _ in range(20):
         for name in env.agents:
             assert infos[name]["wall_seen"][0] == -2
-            assert observations[name]["ranges"][0] == pytest.approx(gap(infos) - 2.0 * FRONT.radius, abs=1e-6)
+            assert observations[name]["ranges"][0] == pytest.approx(
+                gap(infos) - 2.0 * FRONT.radius, abs=1e-6
+            )
         observations, *_, infos = env.step({"robot_0": AHEAD, "robot_1": STOP})
     # Robots that only look past each other see walls.
     _, infos = env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (3.0, 1.5, 0.0)]})
@@ -212,7 +236,10 @@ def test_robots_see_each_other_s_bodies():
 
 
 def test_a_robot_alone_sees_and_does_what_the_single_environment_s_does():
-    env, single = LimSlamParallelEnv("env1", num_robots=1, noise=EVERYTHING), LimSlamEnv("env1", noise=EVERYTHING)
+    env, single = (
+        LimSlamParallelEnv("env1", num_robots=1, noise=EVERYTHING),
+        LimSlamEnv("env1", noise=EVERYTHING),
+    )
     observations, infos = env.reset(seed=3)
     assert bits((observations["robot_0"], infos["robot_0"])) == bits(single.reset(seed=3))
     for actions in named_actions(1, 200):
@@ -225,7 +252,12 @@ def test_rewards_are_the_sum_of_their_pieces(shared):
     pieces = RewardConfig(new_area=2.0, step=-0.5, collision=-10.0)
     env = LimSlamParallelEnv("env1", num_robots=3, rewards=pieces, shared_reward=shared)
     _, infos = env.reset(seed=0)
-    before, cells, seen_apart, touched = infos["robot_0"]["coverage"], env.coverage_grid.total, False, set()
+    before, cells, seen_apart, touched = (
+        infos["robot_0"]["coverage"],
+        env.coverage_grid.total,
+        False,
+        set(),
+    )
     for actions in named_actions(3, 400, seed=3):
         _, rewards, _, _, infos = env.step(actions)
         collisions = [infos[name]["collision"] for name in env.agents]
@@ -233,7 +265,9 @@ def test_rewards_are_the_sum_of_their_pieces(shared):
         before = infos["robot_0"]["coverage"]
         own = [rewards[name] for name in env.agents]
         # What one of them was the first to see is nobody else's.
-        assert sum(own) == pytest.approx(2.0 * new_area - 3 * 0.5 - 10.0 * sum(collisions), abs=1e-9)
+        assert sum(own) == pytest.approx(
+            2.0 * new_area - 3 * 0.5 - 10.0 * sum(collisions), abs=1e-9
+        )
         if shared:
             assert len(set(own)) == 1
         else:
@@ -281,7 +315,9 @@ def test_actions_must_be_those_of_the_robots_that_are_there(change):
     env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
     for one in (env, plain):
         one.reset(seed=0)
-    actions = {name: action for name, action in {**all_alike(env), **change}.items() if action is not None}
+    actions = {
+        name: action for name, action in {**all_alike(env), **change}.items() if action is not None
+    }
     with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
         env.step(actions)
     # A refusal moves nothing.
@@ -310,7 +346,9 @@ def test_reset_takes_starts_for_one_or_several():
     np.testing.assert_allclose([infos[name]["pose"] for name in env.agents], starts, atol=1e-12)
     for some in (starts[:2], np.array(starts[:2])):
         _, infos = env.reset(seed=0, options={"start": some})
-        np.testing.assert_allclose([infos[name]["pose"] for name in env.agents[:2]], starts[:2], atol=1e-12)
+        np.testing.assert_allclose(
+            [infos[name]["pose"] for name in env.agents[:2]], starts[:2], atol=1e-12
+        )
         assert gap(infos, "robot_2", "robot_0") > 0.2
         assert gap(infos, "robot_2", "robot_1") > 0.2
     _, infos = env.reset(seed=0, options={"start": starts[0]})
@@ -360,7 +398,9 @@ def test_a_number_of_robots_that_cannot_be_is_refused(robots):
 
 @pytest.mark.parametrize("cycles", [0, -5])
 def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
-    with pytest.raises(ValueError, match=f"max_cycles must be a whole number, 1 or more, or None, not {cycles}"):
+    with pytest.raises(
+        ValueError, match=f"max_cycles must be a whole number, 1 or more, or None, not {cycles}"
+    ):
         LimSlamParallelEnv("env1", max_cycles=cycles)
 
 

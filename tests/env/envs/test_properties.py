@@ -8,7 +8,15 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from limslam_env import FloorPlanConfig, LimSlamEnv, LimSlamParallelEnv, NoiseConfig, RobotSpec, SensorSpec, World
+from limslam_env import (
+    FloorPlanConfig,
+    LimSlamEnv,
+    LimSlamParallelEnv,
+    NoiseConfig,
+    RobotSpec,
+    SensorSpec,
+    World,
+)
 from limslam_env.geometry import segment
 from limslam_env.robots import ROBOTS
 from limslam_env.worlds.free_space import cell_for, free_space
@@ -36,9 +44,13 @@ def polygons(draw):
 
 @st.composite
 def boxes(draw):
-    """A box with walls and polygons in it, which may cross each other and leave pockets and sharp corners."""
+    """A box with walls and polygons in it, which may cross each other and leave pockets and sharp
+    corners.
+    """
     width, height = draw(st.floats(1.0, 5.0)), draw(st.floats(1.0, 5.0))
-    outer = np.array([[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]])
+    outer = np.array(
+        [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
+    )
     inner = [
         wall
         for wall in draw(st.lists(st.tuples(*[coordinates] * 4), max_size=6))
@@ -149,11 +161,16 @@ def check_episode(env: LimSlamParallelEnv, seed: int, actions: list[tuple[float,
         coverage = info["coverage"]
         if not env.agents:
             return
-        chosen = {name: actions[(step // 6 + 5 * number) % len(actions)] for number, name in enumerate(names)}
+        chosen = {
+            name: actions[(step // 6 + 5 * number) % len(actions)]
+            for number, name in enumerate(names)
+        }
         observations, rewards, _, _, infos = env.step(chosen)
 
 
-def made(world: World, robot: RobotSpec, noise: NoiseConfig, count: int, seed: int) -> LimSlamParallelEnv:
+def made(
+    world: World, robot: RobotSpec, noise: NoiseConfig, count: int, seed: int
+) -> LimSlamParallelEnv:
     """An environment in a world that may turn out to be too small."""
     try:
         env = LimSlamParallelEnv(world, num_robots=count, robot=robot, noise=noise)
@@ -166,7 +183,9 @@ def made(world: World, robot: RobotSpec, noise: NoiseConfig, count: int, seed: i
 action_lists = st.lists(st.tuples(speeds, speeds), min_size=1, max_size=12)
 seeds = st.integers(0, 2**31)
 random_runs = settings(
-    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
+    deadline=None,
+    max_examples=40,
+    suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow],
 )
 
 
@@ -183,7 +202,10 @@ def test_any_floor_plan(world, noise, count, seed, actions):
 
 
 @given(
-    boxes(), st.integers(1, 4), seeds, st.lists(st.tuples(st.sampled_from([1.0, 0.5, -1.0]), st.just(1.0)), min_size=1)
+    boxes(),
+    st.integers(1, 4),
+    seeds,
+    st.lists(st.tuples(st.sampled_from([1.0, 0.5, -1.0]), st.just(1.0)), min_size=1),
 )
 @random_runs
 def test_robots_that_keep_pushing(world, count, seed, actions):
@@ -191,7 +213,9 @@ def test_robots_that_keep_pushing(world, count, seed, actions):
 
 
 def drive_and_reset(steps: int, env: LimSlamEnv, *, seed: int, longest: int = 500) -> int:
-    """Drive at random with a new episode after ``longest`` steps, or at the goal; the number of episodes."""
+    """Drive at random with a new episode after ``longest`` steps, or at the goal; the number of
+    episodes.
+    """
     generator = np.random.default_rng(seed)
     env.reset(seed=seed)
     episodes, since = 1, 0
@@ -213,5 +237,6 @@ def test_memory_stays_constant_over_a_million_steps(world, steps):
     drive_and_reset(20_000, env, seed=0)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert drive_and_reset(steps, env, seed=1) > steps / 501
-    # In kilobytes: the highest mark is not to rise by more than 12 MB, and pymunk's own memory counts, too.
+    # In kilobytes: the highest mark is not to rise by more than 12 MB, and pymunk's own memory
+    # counts, too.
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 12_000

@@ -16,7 +16,12 @@ AHEAD = np.full((3, 2), 0.5, dtype=np.float32)
 
 
 def batch(**arguments):
-    settings = {"num_envs": 3, "autoreset_mode": "SameStep", "max_episode_steps": 4, "coverage_goal": None}
+    settings = {
+        "num_envs": 3,
+        "autoreset_mode": "SameStep",
+        "max_episode_steps": 4,
+        "coverage_goal": None,
+    }
     return gym.make_vec("LimSlam-Env1-v0", **{**settings, **arguments})
 
 
@@ -46,7 +51,9 @@ def test_the_last_step_of_an_episode_says_so():
         assert ends.tolist() == [step == 4] * 3
         assert ["episode" in info for info in infos] == [step == 4] * 3
     for number, info in enumerate(infos):
-        np.testing.assert_array_equal(info["terminal_observation"]["ranges"], last["ranges"][number])
+        np.testing.assert_array_equal(
+            info["terminal_observation"]["ranges"], last["ranges"][number]
+        )
         assert info["TimeLimit.truncated"] is True
         assert info["episode"] == {"r": pytest.approx(total[number]), "l": 4}
     assert env.step(AHEAD)[3][0] == {"cost": 0.0}
@@ -84,7 +91,15 @@ def test_episodes_that_begin_a_step_later_are_refused():
 
 
 def test_ppo_learns_on_it():
-    model = PPO("MultiInputPolicy", Sb3VecEnv(batch()), n_steps=8, batch_size=12, n_epochs=1, seed=0, device="cpu")
+    model = PPO(
+        "MultiInputPolicy",
+        Sb3VecEnv(batch()),
+        n_steps=8,
+        batch_size=12,
+        n_epochs=1,
+        seed=0,
+        device="cpu",
+    )
     model.learn(48)
     assert model.num_timesteps == 48
     assert len(model.ep_info_buffer) > 0

@@ -1,4 +1,6 @@
-"""The batched environment: the same as the single one, autoreset, masks, refusals, the same bits for any threads."""
+"""The batched environment: the same as the single one, autoreset, masks, refusals, the same bits
+for any threads.
+"""
 
 import copy
 import inspect
@@ -54,7 +56,9 @@ def test_it_is_the_same_environment(world):
         if not len(load_world(world).starts):
             observation, info = single.reset(options=start)
         assert_same(
-            (observations, [0.0] * envs, [False] * envs, None, infos), env, (observation, 0.0, False, None, info)
+            (observations, [0.0] * envs, [False] * envs, None, infos),
+            env,
+            (observation, 0.0, False, None, info),
         )
     for actions in held_actions(steps, envs):
         result = batch.step(actions)
@@ -70,7 +74,9 @@ def test_it_is_the_same_environment(world):
 
 def test_it_is_the_same_in_corners_and_at_corners_of_obstacles():
     # Every heading into the rounded obstacles and the slanted corners of env3, at full speed.
-    starts = np.array([[*load_world("env3").starts[0, :2], angle] for angle in np.linspace(-np.pi, np.pi, 24)])
+    starts = np.array(
+        [[*load_world("env3").starts[0, :2], angle] for angle in np.linspace(-np.pi, np.pi, 24)]
+    )
     batch = LimSlamVectorEnv("env3", len(starts), noise=QUIET)
     batch.reset(seed=0, options={"start": starts})
     singles = [LimSlamEnv("env3", noise=QUIET) for _ in starts]
@@ -94,7 +100,12 @@ def test_it_is_the_same_in_corners_and_at_corners_of_obstacles():
     "robot",
     [
         RobotSpec(radius=0.05, max_wheel_speed=2.0, beams=beams_on_rim((0.0, 100.0), 0.05)),
-        RobotSpec(beams=(SensorSpec(0.02, 0.05, 0.4, period=3), SensorSpec(-0.03, 0.0, 2.0, max_range=0.7))),
+        RobotSpec(
+            beams=(
+                SensorSpec(0.02, 0.05, 0.4, period=3),
+                SensorSpec(-0.03, 0.0, 2.0, max_range=0.7),
+            )
+        ),
         RobotSpec(beams=beams_on_rim(tuple(range(0, 360, 24)), 0.1, max_range=12.0)),
     ],
     ids=["fast", "beams inside", "far-seeing ring"],
@@ -113,7 +124,12 @@ def test_it_is_the_same_for_other_robots(robot):
 
 def test_noise_has_the_same_distributions():
     noise = NoiseConfig(
-        sensor_noise=0.02, range_noise_growth=0.01, dropout=0.1, wheel_variance=1e-3, slip_rate=5.0, slip_share=0.3
+        sensor_noise=0.02,
+        range_noise_growth=0.01,
+        dropout=0.1,
+        wheel_variance=1e-3,
+        slip_rate=5.0,
+        slip_share=0.3,
     )
     ahead, count = np.array([0.4, 0.3], dtype=np.float32), 10_000
     batch = LimSlamVectorEnv("env1", count, noise=noise)
@@ -132,14 +148,18 @@ def test_noise_has_the_same_distributions():
     table = np.array(rows)
     theirs = np.column_stack((many["ranges"], many["wheels"], infos["pose"]))
     for column in range(table.shape[1]):
-        assert stats.ks_2samp(theirs[:, column], table[:, column], method="asymp").pvalue > 1e-3, column
+        assert stats.ks_2samp(theirs[:, column], table[:, column], method="asymp").pvalue > 1e-3, (
+            column
+        )
 
 
 def test_noise_of_beams_wheels_and_environments_is_independent():
     batch = LimSlamVectorEnv("env1", 4000, sensor_noise=0.02)
     batch.reset(seed=0)
     one, other = (batch.step(np.full((4000, 2), 0.1))[0] for _ in range(2))
-    table = np.column_stack((one["ranges"][:, [0, 5]], one["wheels"], other["ranges"][:, [0, 5]], other["wheels"]))
+    table = np.column_stack(
+        (one["ranges"][:, [0, 5]], one["wheels"], other["ranges"][:, [0, 5]], other["wheels"])
+    )
     table = np.column_stack((table, np.roll(table, 1, axis=0)))
     correlations = np.corrcoef(table[:, table.std(axis=0) > 0.0].T)
     assert np.abs(correlations - np.eye(len(correlations))).max() < 0.08
@@ -151,9 +171,14 @@ def test_same_seed_same_bits_whatever_the_threads(world):
     for threads in (1, 2, 3):
         plans = {"plans": 3} if world == "random" else {}
         batch = gym.make_vec(
-            "LimSlam-World-v0", world=SMALL if plans else world, num_envs=1500, noise=EVERYTHING,
-            num_threads=threads, max_episode_steps=12, **plans,
-        )  # fmt: skip
+            "LimSlam-World-v0",
+            world=SMALL if plans else world,
+            num_envs=1500,
+            noise=EVERYTHING,
+            num_threads=threads,
+            max_episode_steps=12,
+            **plans,
+        )
         parts = [batch.reset(seed=9)[0]["ranges"].tobytes()]
         for actions in held_actions(30, 1500):
             observations, rewards, _, _, infos = batch.step(actions)
@@ -169,7 +194,9 @@ def test_noise_levels_share_starts_and_draws():
     ideal, _ = LimSlamVectorEnv("square", 8, sensor_noise=0.0).reset(seed=4)
     inner = (high["ranges"] < 1.4) & (high["ranges"] > 0.06) & (low["ranges"] < 1.4)
     np.testing.assert_allclose(
-        (high["ranges"] - ideal["ranges"])[inner], 2.0 * (low["ranges"] - ideal["ranges"])[inner], atol=1e-6
+        (high["ranges"] - ideal["ranges"])[inner],
+        2.0 * (low["ranges"] - ideal["ranges"])[inner],
+        atol=1e-6,
     )
 
 
@@ -205,12 +232,18 @@ def test_gymnasium_makes_it_by_default(name):
 def run(mode: AutoresetMode, batch_type=None, steps: int = 14) -> list[tuple]:
     arguments = {"sensor_noise": 0.0, "noise": QUIET}
     if batch_type is None:
-        env = gym.make_vec("LimSlam-Env1-v0", num_envs=2, max_episode_steps=5, autoreset_mode=mode, **arguments)
+        env = gym.make_vec(
+            "LimSlam-Env1-v0", num_envs=2, max_episode_steps=5, autoreset_mode=mode, **arguments
+        )
     else:
         env = gym.make_vec(
-            "LimSlam-Env1-v0", num_envs=2, vectorization_mode="sync", max_episode_steps=5,
-            vector_kwargs={"autoreset_mode": mode}, **arguments,
-        )  # fmt: skip
+            "LimSlam-Env1-v0",
+            num_envs=2,
+            vectorization_mode="sync",
+            max_episode_steps=5,
+            vector_kwargs={"autoreset_mode": mode},
+            **arguments,
+        )
     env.reset(seed=0)
     return [env.step(actions) for actions in held_actions(steps, 2)]
 
@@ -241,7 +274,9 @@ def test_autoreset_is_gymnasium_s_own(mode):
 
 
 def test_without_autoreset_a_mask_resets():
-    batch = LimSlamVectorEnv("env1", 3, max_episode_steps=4, autoreset_mode=AutoresetMode.DISABLED, sensor_noise=0.02)
+    batch = LimSlamVectorEnv(
+        "env1", 3, max_episode_steps=4, autoreset_mode=AutoresetMode.DISABLED, sensor_noise=0.02
+    )
     batch.reset(seed=0)
     ahead = np.full((3, 2), 0.5)
     for _ in range(2):
@@ -284,7 +319,9 @@ def test_rewards_are_of_the_settings():
         new = np.rint((infos["coverage"] - before) * total) * 0.01
         before = infos["coverage"]
         if infos["time"][0] > 0.15:
-            np.testing.assert_allclose(values, 2.0 * new - 0.5 - 7.0 * infos["collision"], atol=1e-9)
+            np.testing.assert_allclose(
+                values, 2.0 * new - 0.5 - 7.0 * infos["collision"], atol=1e-9
+            )
 
 
 def test_wrappers_of_gymnasium_work():
@@ -314,7 +351,10 @@ def test_wrappers_of_gymnasium_work():
         ({"render_mode": "human"}, "render_mode of a batch must be rgb_array or None, not 'human'"),
         ({"autoreset_mode": "sometimes"}, "not a valid AutoresetMode"),
         ({"num_envs": True}, "num_envs must be a whole number, 1 or more, not True"),
-        ({"max_episode_steps": 2.5}, "the steps of an episode must be a whole number, 1 or more, or None, not 2.5"),
+        (
+            {"max_episode_steps": 2.5},
+            "the steps of an episode must be a whole number, 1 or more, or None, not 2.5",
+        ),
         ({"world": SMALL, "plans": [3, -1]}, "plans must be 1 or more, or seeds"),
         ({"noise": [QUIET, None, QUIET]}, "noise must be a NoiseConfig"),
     ],
@@ -332,7 +372,14 @@ def test_bad_actions_and_options_are_refused_and_change_nothing():
     with pytest.raises(gym.error.ResetNeeded, match="first reset"):
         batch.reset(options={"reset_mask": np.array([True, False, False])})
     batch.reset(seed=0)
-    for actions in (np.zeros((2, 2)), np.zeros(6), np.zeros((3, 3)), None, "ahead", [[0.0, 0.0], [0.0], [0.0, 0.0]]):
+    for actions in (
+        np.zeros((2, 2)),
+        np.zeros(6),
+        np.zeros((3, 3)),
+        None,
+        "ahead",
+        [[0.0, 0.0], [0.0], [0.0, 0.0]],
+    ):
         with pytest.raises(ValueError, match="3 rows of two numbers"):
             batch.step(actions)
     with pytest.raises(ValueError, match="those of environment 1 are"):
@@ -387,7 +434,9 @@ REFUSED_RESETS = {
 
 @pytest.mark.parametrize("kind", REFUSED_RESETS)
 def test_a_refused_reset_changes_nothing(kind):
-    batch, twin = (LimSlamVectorEnv(num_envs=4, max_episode_steps=15, **REFUSED_RESETS[kind]) for _ in range(2))
+    batch, twin = (
+        LimSlamVectorEnv(num_envs=4, max_episode_steps=15, **REFUSED_RESETS[kind]) for _ in range(2)
+    )
     first, actions = batch.reset(seed=0), held_actions(60, 4)
     assert_bits(first, twin.reset(seed=0))
     # All starts but the last can be used.
@@ -396,7 +445,11 @@ def test_a_refused_reset_changes_nothing(kind):
     masked = {"reset_mask": np.array([True, False, False, True])}
     for number, row in enumerate(actions):
         if number in {5, 40}:
-            for options in ({"start": (1e3, 0.0, 0.0)}, {"start": starts}, {"start": starts} | masked):
+            for options in (
+                {"start": (1e3, 0.0, 0.0)},
+                {"start": starts},
+                {"start": starts} | masked,
+            ):
                 with pytest.raises(ValueError):
                     batch.reset(seed=5, options=options)
         assert_bits(batch.step(row), twin.step(row))

@@ -35,7 +35,10 @@ def test_it_is_the_same_environment(robots):
     contacts = meetings = 0
     rows = [held_actions(300, robots, seed=seed) for seed in range(2)]
     for step in range(300):
-        actions = {name: np.array([rows[env][step, k] for env in range(2)]) for k, name in enumerate(batch.agents)}
+        actions = {
+            name: np.array([rows[env][step, k] for env in range(2)])
+            for k, name in enumerate(batch.agents)
+        }
         result = batch.step(actions)
         for env, single in enumerate(singles):
             one = single.step({name: actions[name][env] for name in batch.agents})
@@ -55,16 +58,22 @@ def test_robots_that_meet_push_each_other_as_in_the_single_environment():
     touching = 0
     for _ in range(200):
         one = single.step({"robot_0": np.array([1.0, 0.98]), "robot_1": np.array([0.7, 0.7])})
-        many = batch.step({"robot_0": np.tile([1.0, 0.98], (3, 1)), "robot_1": np.full((3, 2), 0.7)})
+        many = batch.step(
+            {"robot_0": np.tile([1.0, 0.98], (3, 1)), "robot_1": np.full((3, 2), 0.7)}
+        )
         touching += one[4]["robot_0"]["collision"]
         for name, info in one[4].items():
-            np.testing.assert_allclose(many[4][name]["pose"], np.tile(info["pose"], (3, 1)), atol=1e-6)
+            np.testing.assert_allclose(
+                many[4][name]["pose"], np.tile(info["pose"], (3, 1)), atol=1e-6
+            )
             np.testing.assert_array_equal(many[4][name]["collision"], [info["collision"]] * 3)
     assert touching > 10
 
 
 def test_it_is_made_by_name_and_has_spaces_for_each_robot():
-    env = limslam_env.parallel_vector_env(world="square", num_robots=3, num_envs=4, sensor_noise=0.02)
+    env = limslam_env.parallel_vector_env(
+        world="square", num_robots=3, num_envs=4, sensor_noise=0.02
+    )
     assert isinstance(env, limslam_env.LimSlamParallelVectorEnv)
     observations, infos = env.reset(seed=0)
     assert list(observations) == list(infos) == env.agents == ["robot_0", "robot_1", "robot_2"]
@@ -88,7 +97,8 @@ def test_rewards_can_be_shared():
         env = LimSlamParallelVectorEnv("env1", 2, noise=QUIET, shared_reward=shared)
         env.reset(seed=0)
         rows = [
-            env.step({"robot_0": np.tile(row[0], (2, 1)), "robot_1": np.tile(row[1], (2, 1))})[1] for row in actions
+            env.step({"robot_0": np.tile(row[0], (2, 1)), "robot_1": np.tile(row[1], (2, 1))})[1]
+            for row in actions
         ]
         rewards.append(np.array([[row["robot_0"], row["robot_1"]] for row in rows]))
     own, shared = rewards
@@ -103,7 +113,11 @@ def test_episodes_end_for_all_robots_at_once(mode):
     ahead = {name: np.full((2, 2), 0.5) for name in env.agents}
     results = [env.step(ahead) for _ in range(4)]
     for name in env.agents:
-        assert [result[3][name].tolist() for result in results[:3]] == [[False] * 2, [False] * 2, [True] * 2]
+        assert [result[3][name].tolist() for result in results[:3]] == [
+            [False] * 2,
+            [False] * 2,
+            [True] * 2,
+        ]
         times = [result[4][name]["time"][0] for result in results]
         if mode is AutoresetMode.NEXT_STEP:
             np.testing.assert_allclose(times, [0.1, 0.2, 0.3, 0.0])

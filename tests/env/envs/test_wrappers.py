@@ -40,7 +40,9 @@ STACKS = {
     "normalized map": lambda env: NormalizedObservation(PrivilegedLocalMap(env)),
     "mapped and normalized": lambda env: PrivilegedLocalMap(NormalizedObservation(env)),
     "all": lambda env: FlattenObservation(
-        FrameStackObservation(NormalizedObservation(PrivilegedLocalMap(DiscreteAction(env), size=9)), 2)
+        FrameStackObservation(
+            NormalizedObservation(PrivilegedLocalMap(DiscreteAction(env), size=9)), 2
+        )
     ),
 }
 
@@ -49,7 +51,10 @@ class Stranger(gym.Env):
     """Looks like one of ours and is none."""
 
     observation_space = spaces.Dict(
-        {"ranges": spaces.Box(0.0, 1.0, (3,), np.float32), "wheels": spaces.Box(-1.0, 1.0, (2,), np.float32)}
+        {
+            "ranges": spaces.Box(0.0, 1.0, (3,), np.float32),
+            "wheels": spaces.Box(-1.0, 1.0, (2,), np.float32),
+        }
     )
     action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
@@ -79,7 +84,9 @@ def test_a_wrapper_changes_nothing_about_the_world(stack):
     np.testing.assert_array_equal(env.reset(seed=3)[1]["pose"], plain.reset(seed=3)[1]["pose"])
     for _ in range(30):
         action = env.action_space.sample()
-        wheels = env.get_wrapper_attr("action")(action) if env.has_wrapper_attr("action") else action
+        wheels = (
+            env.get_wrapper_attr("action")(action) if env.has_wrapper_attr("action") else action
+        )
         _, reward, *_, info = env.step(action)
         _, expected, *_, true = plain.step(wheels)
         np.testing.assert_array_equal(info["pose"], true["pose"])
@@ -88,7 +95,8 @@ def test_a_wrapper_changes_nothing_about_the_world(stack):
 
 def test_normalized_readings_by_hand():
     env = NormalizedObservation(LimSlamEnv("square", robot=FRONT, noise=NO_NOISE))
-    # Walls at x = 7 and y = 0; the rim stands 0.5 m from one and 0.775 m from the other, and nothing is on the left.
+    # Walls at x = 7 and y = 0; the rim stands 0.5 m from one and 0.775 m from the other, and
+    # nothing is on the left.
     observation, _ = env.reset(seed=0, options={"start": (6.4, 0.875, 0.0)})
     np.testing.assert_allclose(observation["ranges"], [0.45 / 1.45, 1.0, 0.5], atol=1e-6)
     assert observation["ranges"][1] == 1.0
@@ -100,7 +108,10 @@ def test_normalized_readings_by_hand():
 
 
 def test_each_beam_is_normalized_by_its_own_limits():
-    beams = (*beams_on_rim((0.0,), 0.1, max_range=1.0), *beams_on_rim((0.0,), 0.1, min_range=0.2, max_range=4.2))
+    beams = (
+        *beams_on_rim((0.0,), 0.1, max_range=1.0),
+        *beams_on_rim((0.0,), 0.1, min_range=0.2, max_range=4.2),
+    )
     env = NormalizedObservation(LimSlamEnv("square", robot=RobotSpec(beams=beams), noise=NO_NOISE))
     observation, _ = env.reset(seed=0, options={"start": (6.4, 1.0, 0.0)})
     np.testing.assert_allclose(observation["ranges"], [0.45 / 0.95, 0.3 / 4.0], atol=1e-6)
@@ -157,7 +168,9 @@ def test_moves_by_number():
     _, info = env.reset(seed=0)
     (x, y, theta), turns = info["pose"], []
     *_, info = env.step(0)
-    np.testing.assert_allclose(info["pose"], (x + 0.03 * math.cos(theta), y + 0.03 * math.sin(theta), theta), atol=1e-9)
+    np.testing.assert_allclose(
+        info["pose"], (x + 0.03 * math.cos(theta), y + 0.03 * math.sin(theta), theta), atol=1e-9
+    )
     for number in (1, 2, 2):
         before, info = info["pose"], env.step(number)[4]
         turns.append(np.sign(info["pose"][2] - before[2]))
@@ -166,7 +179,9 @@ def test_moves_by_number():
 
 
 def test_moves_may_be_others():
-    env = DiscreteAction(LimSlamEnv("env1"), moves=[(0.0, 0.0), (-1.0, -1.0), (0.2, 1.0), (1.0, 0.2)])
+    env = DiscreteAction(
+        LimSlamEnv("env1"), moves=[(0.0, 0.0), (-1.0, -1.0), (0.2, 1.0), (1.0, 0.2)]
+    )
     assert env.action_space == spaces.Discrete(4)
     np.testing.assert_allclose(env.action(2), (0.2, 1.0))
     # What becomes of an action is none of the table's business.
@@ -194,7 +209,9 @@ def test_flat_observations_hold_ranges_and_then_wheels():
     flat, _ = env.reset(seed=0)
     observation, _ = plain.reset(seed=0)
     for _ in range(5):
-        np.testing.assert_array_equal(flat, np.concatenate((observation["ranges"], observation["wheels"])))
+        np.testing.assert_array_equal(
+            flat, np.concatenate((observation["ranges"], observation["wheels"]))
+        )
         assert flat.dtype == np.float32
         flat, *_ = env.step([1.0, 0.5])
         observation, *_ = plain.step([1.0, 0.5])
@@ -211,7 +228,9 @@ def test_stacked_observations_hold_the_last_ones_in_order():
         np.testing.assert_array_equal(stacked[key], [frame[key] for frame in frames[-3:]])
 
 
-def map_of(world: str, start: tuple[float, float, float], size: int = 40, turns: int = 0, **arguments) -> np.ndarray:
+def map_of(
+    world: str, start: tuple[float, float, float], size: int = 40, turns: int = 0, **arguments
+) -> np.ndarray:
     """What lies around a robot that sees all around, after as many steps of turning on the spot."""
     env = PrivilegedLocalMap(LimSlamEnv(world, robot=ring(180), **arguments), size=size)
     observation, _ = env.reset(seed=0, options={"start": start})
@@ -222,7 +241,8 @@ def map_of(world: str, start: tuple[float, float, float], size: int = 40, turns:
 
 @pytest.mark.parametrize("quarter", range(4))
 def test_ahead_is_up_and_left_is_left(quarter):
-    # In the corner of the square, walls stand 1 m below (y = 0) and 1 m to the left (x = 0) of the robot in the world.
+    # In the corner of the square, walls stand 1 m below (y = 0) and 1 m to the left (x = 0) of the
+    # robot in the world.
     picture = map_of("square", (1.0, 1.0, quarter * math.pi / 2.0))
     low_y, low_x = np.zeros((2, 40, 40), dtype=bool)
     # Nine cells and a half from the middle: the walls' cells are the first ones of the room.

@@ -1,4 +1,6 @@
-"""Lines (r, theta): there and back all round the circle and near r = 0; Jacobians; points on lines."""
+"""Lines (r, theta): there and back all round the circle and near r = 0; Jacobians; points on
+lines.
+"""
 
 import math
 
@@ -12,12 +14,17 @@ from limslam_env.geometry import FloatArray, line, se2
 
 SPOTS = np.array([-2.0, 0.0, 3.0])
 CIRCLE = np.linspace(-math.pi, math.pi, 73)
-POSES = [np.array(pose) for pose in ((0.0, 0.0, 0.0), (1.0, -2.0, 0.7), (-3.0, 0.5, math.pi), (0.2, 0.1, -3.1))]
+POSES = [
+    np.array(pose)
+    for pose in ((0.0, 0.0, 0.0), (1.0, -2.0, 0.7), (-3.0, 0.5, math.pi), (0.2, 0.1, -3.1))
+]
 
 
 def lines() -> SearchStrategy[FloatArray]:
     near_the_origin = st.sampled_from([0.0, 1e-14, 1e-9, 1e-4])
-    return st.tuples(st.one_of(st.floats(0.0, 20.0), near_the_origin), st.floats(-math.pi, math.pi)).map(np.array)
+    return st.tuples(
+        st.one_of(st.floats(0.0, 20.0), near_the_origin), st.floats(-math.pi, math.pi)
+    ).map(np.array)
 
 
 def poses() -> SearchStrategy[FloatArray]:
@@ -30,7 +37,9 @@ def points() -> SearchStrategy[FloatArray]:
 
 
 def assert_same_line(first: FloatArray, second: FloatArray, tolerance: float = 1e-11) -> None:
-    """Near the origin (r, theta) and (-r, theta + pi) are neighbours: only nearest forms may be subtracted."""
+    """Near the origin (r, theta) and (-r, theta + pi) are neighbours: only nearest forms may be
+    subtracted.
+    """
     np.testing.assert_allclose(line.nearest_form(first, second) - second, 0.0, atol=tolerance)
 
 
@@ -42,7 +51,8 @@ def assert_normalised(given_line: FloatArray) -> None:
 def central_difference(function, at: FloatArray, step: float = 1e-5) -> FloatArray:
     middle = function(at)
     columns = [
-        line.nearest_form(function(at + offset), middle) - line.nearest_form(function(at - offset), middle)
+        line.nearest_form(function(at + offset), middle)
+        - line.nearest_form(function(at - offset), middle)
         for offset in step * np.eye(len(at))
     ]
     return np.array(columns).T / (2.0 * step)

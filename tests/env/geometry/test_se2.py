@@ -1,4 +1,6 @@
-"""SE(2): group laws, the exact arc against integration, and every Jacobian against central differences."""
+"""SE(2): group laws, the exact arc against integration, and every Jacobian against central
+differences.
+"""
 
 import math
 
@@ -50,7 +52,8 @@ def test_between_leads_from_start_to_end(start, end):
 def test_compose_on_a_case_worked_by_hand():
     # Standing at (1, 2) and looking along y, two metres ahead and one to the left are (0, 4).
     assert_same(
-        se2.compose(np.array([1.0, 2.0, math.pi / 2]), np.array([2.0, 1.0, math.pi])), np.array([0, 4, -math.pi / 2])
+        se2.compose(np.array([1.0, 2.0, math.pi / 2]), np.array([2.0, 1.0, math.pi])),
+        np.array([0, 4, -math.pi / 2]),
     )
 
 
@@ -61,7 +64,9 @@ def test_group_operations_work_row_by_row_on_stacks():
         np.testing.assert_allclose(operation(rows[0], rows[1]), single, atol=1e-15)
         one_to_many = [operation(rows[0, 0], second) for second in rows[1]]
         np.testing.assert_allclose(operation(rows[0, 0], rows[1]), one_to_many, atol=1e-15)
-    np.testing.assert_allclose(se2.inverse(rows[0]), [se2.inverse(row) for row in rows[0]], atol=1e-15)
+    np.testing.assert_allclose(
+        se2.inverse(rows[0]), [se2.inverse(row) for row in rows[0]], atol=1e-15
+    )
 
 
 @given(st.floats(-1e3, 1e3))
@@ -81,18 +86,27 @@ def test_wrap_angle_of_an_array_is_that_of_its_numbers():
     wrapped = se2.wrap_angle(angles)
     assert wrapped.shape == angles.shape
     assert ((wrapped > -math.pi) & (wrapped <= math.pi)).all()
-    np.testing.assert_array_equal(wrapped.ravel(), [se2.wrap_angle(float(angle)) for angle in angles.ravel()])
+    np.testing.assert_array_equal(
+        wrapped.ravel(), [se2.wrap_angle(float(angle)) for angle in angles.ravel()]
+    )
 
 
 @given(poses(), poses())
 @settings(deadline=None)
 def test_compose_jacobians_match_central_differences(first, second):
     by_first, by_second = se2.compose_jacobians(first, second)
-    np.testing.assert_allclose(by_first, central_difference(lambda pose: se2.compose(pose, second), first), atol=2e-8)
-    np.testing.assert_allclose(by_second, central_difference(lambda pose: se2.compose(first, pose), second), atol=2e-8)
+    np.testing.assert_allclose(
+        by_first, central_difference(lambda pose: se2.compose(pose, second), first), atol=2e-8
+    )
+    np.testing.assert_allclose(
+        by_second, central_difference(lambda pose: se2.compose(first, pose), second), atol=2e-8
+    )
 
 
-@given(st.floats(-2.0, 2.0), st.one_of(st.floats(-6.0, 6.0), st.sampled_from(SWITCHES), st.floats(-3e-4, 3e-4)))
+@given(
+    st.floats(-2.0, 2.0),
+    st.one_of(st.floats(-6.0, 6.0), st.sampled_from(SWITCHES), st.floats(-3e-4, 3e-4)),
+)
 @settings(deadline=None, max_examples=200)
 def test_arc_jacobian_matches_central_differences(distance, turn):
     numeric = central_difference(lambda motion: se2.arc(*motion), np.array([distance, turn]))
@@ -100,7 +114,10 @@ def test_arc_jacobian_matches_central_differences(distance, turn):
 
 
 def test_dead_reckoning_composes_the_arcs_of_its_rows():
-    wheels, start = np.float32([[0.1, 0.2], [0.3, 0.3], [-0.2, 0.4], [0.5, -0.5]]), np.array([1.0, -2.0, 3.0])
+    wheels, start = (
+        np.float32([[0.1, 0.2], [0.3, 0.3], [-0.2, 0.4], [0.5, -0.5]]),
+        np.array([1.0, -2.0, 3.0]),
+    )
     pose, expected = start, []
     for travel in wheels:
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(travel, 0.16)))
@@ -118,14 +135,19 @@ def test_arc_is_the_integral_of_the_unicycle(distance, turn):
     np.testing.assert_allclose(se2.arc(distance, turn), [x, y, turn], atol=1e-12)
 
 
-@given(poses(), st.lists(st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)), min_size=1, max_size=5))
+@given(
+    poses(),
+    st.lists(st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)), min_size=1, max_size=5),
+)
 @settings(deadline=None)
 def test_points_go_there_and_back(pose, rows):
     points = np.array(rows)
     there = se2.transform_points(pose, points)
     np.testing.assert_allclose(se2.transform_points(se2.inverse(pose), there), points, atol=1e-11)
     # A point is the place of a pose: both must agree on where it goes.
-    np.testing.assert_allclose(there, [se2.compose(pose, np.array([x, y, 0.0]))[:2] for x, y in points], atol=1e-11)
+    np.testing.assert_allclose(
+        there, [se2.compose(pose, np.array([x, y, 0.0]))[:2] for x, y in points], atol=1e-11
+    )
 
 
 def test_wheels_to_arc_turns_left_when_the_right_wheel_is_faster():

@@ -44,7 +44,9 @@ def test_samples_are_even_dense_enough_and_hold_both_ends(segments, spacing):
         assert gaps.max() <= spacing * (1.0 + 1e-6)
         assert np.ptp(gaps) < 1e-9
         # No more points than needed: one gap fewer would be too wide.
-        assert len(gaps) == 1 or segment_geometry.lengths(edge[None])[0] / (len(gaps) - 1) > spacing * (1.0 - 1e-6)
+        assert len(gaps) == 1 or segment_geometry.lengths(edge[None])[0] / (
+            len(gaps) - 1
+        ) > spacing * (1.0 - 1e-6)
 
 
 def test_a_length_that_is_a_multiple_of_the_spacing_gets_no_extra_sample():

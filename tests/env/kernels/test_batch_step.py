@@ -129,12 +129,13 @@ def test_rays_side_by_side_meet_the_walls_that_single_rays_meet(count):
         edges = edges[(edges[:, :2] != edges[:, 2:]).any(axis=1)]
         if not len(edges):
             continue
-        # Rays to the ends of walls, and past them by as much as counts as a hit, or a little more; some along a wall.
+        # Rays to the ends of walls, and past them by as much as counts as a hit, or a little more;
+        # some along a wall.
         origins, ends = generator.uniform(0.0, 2.0, (lanes, 2)), edges.reshape(-1, 2)
         origins[0] = edges[0, :2]
-        aside = generator.choice([0.0, 1e-16, 9e-10, 1.1e-9, 5e-9, 2e-8, 0.3], lanes) * generator.choice(
-            [-1.0, 1.0], lanes
-        )
+        aside = generator.choice(
+            [0.0, 1e-16, 9e-10, 1.1e-9, 5e-9, 2e-8, 0.3], lanes
+        ) * generator.choice([-1.0, 1.0], lanes)
         ways = ends[generator.integers(0, len(ends), lanes)] - origins
         angles = np.arctan2(ways[:, 1], ways[:, 0]) + aside
         angles[1] = 0.0
@@ -162,7 +163,9 @@ def test_a_look_finds_unseen_cells_wherever_a_ray_takes_one(share):
         rays[0] = np.round(generator.uniform(0.0, 1.6, lanes), 1)
         bits = found(padded(tiles), tiles.shape[1], tiles.shape[0], aims, rays)
         for lane in range(lanes):
-            new = taken(padded(tiles), tiles.shape[1], tiles.shape[0], *aims[:, lane], rays[0, lane], 0.0)
+            new = taken(
+                padded(tiles), tiles.shape[1], tiles.shape[0], *aims[:, lane], rays[0, lane], 0.0
+            )
             assert new == 0 or int(bits) >> lane & 1
 
 
@@ -173,7 +176,9 @@ def test_walls_around_a_cell_are_all_that_a_beam_can_meet_from_it():
     generator = np.random.default_rng(0)
     origins = generator.uniform(0.0, world.size, (2000, 2))
     angles = generator.uniform(-np.pi, np.pi, 2000)
-    _, hits = cast_rays(index, origins, np.column_stack((np.cos(angles), np.sin(angles))), np.full(2000, reach))
+    _, hits = cast_rays(
+        index, origins, np.column_stack((np.cos(angles), np.sin(angles))), np.full(2000, reach)
+    )
     column, row = ((origins - (index.low_x, index.low_y)) / index.side).astype(int).T
     cells = row * index.columns + column
     for cell, hit in zip(cells, hits, strict=True):

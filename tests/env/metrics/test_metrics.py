@@ -1,4 +1,6 @@
-"""Metrics: each on a case worked out by hand, the trajectory errors against evo, and a map that is right but turned."""
+"""Metrics: each on a case worked out by hand, the trajectory errors against evo, and a map that is
+right but turned.
+"""
 
 import math
 
@@ -45,14 +47,21 @@ def moved(edges: FloatArray, pose: FloatArray) -> FloatArray:
 def level_samples(edges: FloatArray) -> WallSamples:
     """Samples at 0.025, 0.075, ... m along edges that run from left to right."""
     middles = [np.arange(x1 + 0.025, x2, 0.05) for x1, _, x2, _ in edges]
-    points = [np.column_stack((x, np.full(len(x), edge[1]))) for x, edge in zip(middles, edges, strict=True)]
+    points = [
+        np.column_stack((x, np.full(len(x), edge[1])))
+        for x, edge in zip(middles, edges, strict=True)
+    ]
     owner = np.repeat(np.arange(len(edges)), [len(x) for x in middles])
     return np.vstack(points), np.zeros(len(owner)), owner
 
 
 def tilted(angle_deg: float, length: float = 0.2) -> FloatArray:
     """One segment, tilted about the point (0.5, 0)."""
-    half = 0.5 * length * np.array([math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))])
+    half = (
+        0.5
+        * length
+        * np.array([math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))])
+    )
     return np.hstack((np.array([0.5, 0.0]) - half, np.array([0.5, 0.0]) + half))[None]
 
 
@@ -72,7 +81,9 @@ class TestRigidAlignment:
         # Turned by 90 deg, (x, y) is (-y, x); then shifted by (1, 2).
         estimated = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
         true = np.array([[1.0, 2.0], [1.0, 3.0], [-1.0, 2.0]])
-        np.testing.assert_allclose(rigid_alignment(true, estimated), [1.0, 2.0, 0.5 * math.pi], atol=1e-12)
+        np.testing.assert_allclose(
+            rigid_alignment(true, estimated), [1.0, 2.0, 0.5 * math.pi], atol=1e-12
+        )
 
     def test_points_in_one_place_keep_their_heading(self) -> None:
         # The mean of seven times 0.1 is not exactly 0.1; that must not become an angle.
@@ -98,7 +109,12 @@ class TestTrajectory:
         assert metrics["rpe_m_per_m"] == pytest.approx(math.sqrt((0.09 + 0.01) / 3.0))
 
     def test_a_drive_of_less_than_a_metre_has_no_relative_error(self) -> None:
-        assert trajectory_metrics(poses((0, 0, 0), (0.9, 0, 0)), poses((0, 0, 0), (1.5, 0, 0)))["rpe_m_per_m"] is None
+        assert (
+            trajectory_metrics(poses((0, 0, 0), (0.9, 0, 0)), poses((0, 0, 0), (1.5, 0, 0)))[
+                "rpe_m_per_m"
+            ]
+            is None
+        )
 
     @pytest.mark.parametrize("seed", [0])
     def test_agrees_with_evo(self, seed: int) -> None:
@@ -109,7 +125,12 @@ class TestTrajectory:
         def path(planar: FloatArray) -> PosePath3D:
             matrices = np.tile(np.eye(4), (len(planar), 1, 1))
             cos, sin = np.cos(planar[:, 2]), np.sin(planar[:, 2])
-            matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = cos, -sin, sin, cos
+            matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = (
+                cos,
+                -sin,
+                sin,
+                cos,
+            )
             matrices[:, :2, 3] = planar[:, :2]
             return PosePath3D(poses_se3=list(matrices))
 
@@ -128,8 +149,12 @@ class TestTrajectory:
             pairs_from_reference=True,
         )
         ours = trajectory_metrics(true, estimated)
-        assert ours["ate_m"] == pytest.approx(rmse(evo_metrics.APE(), reference, estimate), rel=1e-9)
-        assert ours["ate_aligned_m"] == pytest.approx(rmse(evo_metrics.APE(), reference, aligned), rel=1e-9)
+        assert ours["ate_m"] == pytest.approx(
+            rmse(evo_metrics.APE(), reference, estimate), rel=1e-9
+        )
+        assert ours["ate_aligned_m"] == pytest.approx(
+            rmse(evo_metrics.APE(), reference, aligned), rel=1e-9
+        )
         assert ours["rpe_m_per_m"] == pytest.approx(rmse(relative, reference, estimate), rel=1e-9)
         assert ours["ate_m"] > ours["ate_aligned_m"] > 0.05
 
@@ -146,7 +171,13 @@ class TestConsistency:
         assert metrics == {"anees": pytest.approx((1.0 + 14.0) / 2.0 / 3.0), "nees_in_95": 0.5}
 
     @pytest.mark.parametrize(
-        "bad", [np.zeros((3, 3)), np.ones((3, 3)), np.diag([-1.0, -1.0, 1.0]), np.diag([0.01, -1.0, 0.01])]
+        "bad",
+        [
+            np.zeros((3, 3)),
+            np.ones((3, 3)),
+            np.diag([-1.0, -1.0, 1.0]),
+            np.diag([0.01, -1.0, 0.01]),
+        ],
     )
     def test_what_is_no_covariance_counts_as_infinite(self, bad: FloatArray) -> None:
         covariances = np.tile(0.01 * np.eye(3), (4, 1, 1))
@@ -165,12 +196,21 @@ class TestConsistency:
         root = 0.05 * generator.normal(size=(3, 3))
         estimated = true + generator.normal(size=(20_000, 3)) @ root.T
         metrics = consistency_metrics(true, estimated, np.tile(root @ root.T, (20_000, 1, 1)))
-        # Standard deviations of these means: sqrt(6 / 20000) / 3 = 0.006 and sqrt(0.05 * 0.95 / 20000) = 0.0015.
-        assert metrics == {"anees": pytest.approx(1.0, abs=0.03), "nees_in_95": pytest.approx(0.95, abs=0.008)}
+        # Standard deviations of these means: sqrt(6 / 20000) / 3 = 0.006 and sqrt(0.05 * 0.95 /
+        # 20000) = 0.0015.
+        assert metrics == {
+            "anees": pytest.approx(1.0, abs=0.03),
+            "nees_in_95": pytest.approx(0.95, abs=0.008),
+        }
 
 
 def room(width: float, height: float) -> list[list[float]]:
-    return [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
+    return [
+        [0, 0, width, 0],
+        [width, 0, width, height],
+        [width, height, 0, height],
+        [0, height, 0, 0],
+    ]
 
 
 class TestVisibleSamples:
@@ -182,7 +222,9 @@ class TestVisibleSamples:
         np.testing.assert_array_equal(np.bincount(owner), [140] * 4 + [26, 16] * 4 + [40] * 4)
         assert segment.distances(points, world.edges)[np.arange(len(points)), owner].max() < 1e-12
         upright = world.edges[owner, 0] == world.edges[owner, 2]
-        np.testing.assert_allclose(np.abs(np.cos(directions)), np.where(upright, 0.0, 1.0), atol=1e-12)
+        np.testing.assert_allclose(
+            np.abs(np.cos(directions)), np.where(upright, 0.0, 1.0), atol=1e-12
+        )
 
     def test_what_lies_inside_an_obstacle_is_hidden(self) -> None:
         block = np.array([[1.0, 1.0], [3.0, 1.0], [3.0, 3.0], [1.0, 3.0]])
@@ -192,7 +234,9 @@ class TestVisibleSamples:
         np.testing.assert_array_equal(np.bincount(owner), [80, 80, 80, 80, 0, 40, 40, 40, 40])
 
     @pytest.mark.parametrize(("shortest", "count"), [({}, 0), ({"shortest": 0.0}, 3)])
-    def test_short_sides_give_samples_only_if_asked(self, shortest: dict[str, float], count: int) -> None:
+    def test_short_sides_give_samples_only_if_asked(
+        self, shortest: dict[str, float], count: int
+    ) -> None:
         pillar = np.array([[1.0, 1.0], [1.15, 1.0], [1.15, 1.15], [1.0, 1.15]])
         world = World("box", (4, 4), room(4, 4), obstacles=(pillar,), starts=poses((0.5, 0.5, 0)))
         owner = visible_samples(world, 0.10, 5.0, **shortest)[2]
@@ -207,13 +251,16 @@ class TestVisibleSamples:
             (0.0, 3.0, False),
         ],
     )
-    def test_a_slit_is_looked_through_but_not_driven_through(self, gap: float, max_range: float, seen: bool) -> None:
+    def test_a_slit_is_looked_through_but_not_driven_through(
+        self, gap: float, max_range: float, seen: bool
+    ) -> None:
         walls = np.array([*room(4, 2), [2, 0, 2, 1.0 - gap], [2, 1.0 + gap, 2, 2]])
         world = World("slit", (4, 2), walls, starts=poses((0.5, 0.5, 0)))
         points, _, owner = visible_samples(world, 0.10, max_range)
         counts = np.bincount(owner, minlength=6)
         assert (counts[1] > 0) == seen
-        # On this side all; beyond, the steepest sight line goes from (1.9, 1.9) by (2, 0.95) to (2.1, 0).
+        # On this side all; beyond, the steepest sight line goes from (1.9, 1.9) by (2, 0.95) to
+        # (2.1, 0).
         assert (counts[3], np.count_nonzero((owner == 0) & (points[:, 0] < 2.0))) == (40, 40)
         assert not np.any((owner == 0) & (points[:, 0] > 2.0) & (points[:, 0] < 2.1))
         assert np.any((owner == 0) & (points[:, 0] > 2.1)) == (gap > 0.0)
@@ -221,7 +268,9 @@ class TestVisibleSamples:
     def test_each_start_counts(self) -> None:
         walls = np.array([*room(4, 2), [1, 0, 1, 2]])
         world = World("rooms", (4, 2), walls, starts=poses((0.5, 0.5, 0), (2, 1, 0)))
-        np.testing.assert_array_equal(np.bincount(visible_samples(world, 0.10, 5.0)[2]), [80, 40, 80, 40, 40])
+        np.testing.assert_array_equal(
+            np.bincount(visible_samples(world, 0.10, 5.0)[2]), [80, 40, 80, 40, 40]
+        )
 
 
 class TestWalls:
@@ -231,9 +280,10 @@ class TestWalls:
 
     def test_by_hand(self) -> None:
         metrics = wall_metrics(level_samples(self.EDGES), self.EDGES, self.ESTIMATE, STILL)
-        # Within 10 cm: of the first wall the 10 samples beside the segment and those at 0.525 and 0.575
-        # past its end (sqrt(0.075^2 + 0.03^2) = 0.081), all 20 of the second: 32 of 40. Of the estimate
-        # 10 + 20 of 50. Within 5 cm: 10 and the one at 0.525 (0.039), 11 of 40; 10 of 50.
+        # Within 10 cm: of the first wall the 10 samples beside the segment and those at 0.525 and
+        # 0.575 past its end (sqrt(0.075^2 + 0.03^2) = 0.081), all 20 of the second: 32 of 40. Of
+        # the estimate 10 + 20 of 50. Within 5 cm: 10 and the one at 0.525 (0.039), 11 of 40; 10 of
+        # 50.
         assert metrics["wall_recall"] == pytest.approx(0.8)
         assert metrics["wall_precision"] == pytest.approx(0.6)
         assert metrics["wall_f1"] == pytest.approx(2 * 0.8 * 0.6 / 1.4)
@@ -245,19 +295,26 @@ class TestWalls:
         assert metrics["duplicate_m"] == 0.0
 
     def test_the_alignment_moves_the_estimate(self) -> None:
-        metrics = wall_metrics(level_samples(self.EDGES), self.EDGES, self.ESTIMATE, np.array([0.0, -0.07, 0.0]))
-        # 7 cm down: the first is now 4 cm below (0.525 at 0.047 still counts), the second on its wall.
-        # Within 5 cm: 31 of 40, and 30 of 50. Unaligned nothing changes.
+        metrics = wall_metrics(
+            level_samples(self.EDGES), self.EDGES, self.ESTIMATE, np.array([0.0, -0.07, 0.0])
+        )
+        # 7 cm down: the first is now 4 cm below (0.525 at 0.047 still counts), the second on its
+        # wall. Within 5 cm: 31 of 40, and 30 of 50. Unaligned nothing changes.
         assert metrics["wall_f1_aligned_5cm"] == pytest.approx(2 * 0.775 * 0.6 / 1.375)
         assert metrics["wall_f1_aligned"] == pytest.approx(2 * 0.8 * 0.6 / 1.4)
         assert metrics["wall_f1_5cm"] == pytest.approx(2 * 0.275 * 0.2 / 0.475)
 
-    @pytest.mark.parametrize(("angle", "precision"), [(9.0, 1.0), (11.0, 0.0), (-11.0, 0.0), (189.0, 1.0)])
-    def test_directions_match_within_10_degrees_and_either_way_round(self, angle: float, precision: float) -> None:
+    @pytest.mark.parametrize(
+        ("angle", "precision"), [(9.0, 1.0), (11.0, 0.0), (-11.0, 0.0), (189.0, 1.0)]
+    )
+    def test_directions_match_within_10_degrees_and_either_way_round(
+        self, angle: float, precision: float
+    ) -> None:
         wall = segments((0, 0, 1, 0))
         metrics = wall_metrics(level_samples(wall), wall, tilted(angle), STILL)
         assert metrics["wall_precision"] == precision
-        # The segment reaches 0.1 m to either side of 0.5, and counts for 0.1 m more: 8 samples of 20.
+        # The segment reaches 0.1 m to either side of 0.5, and counts for 0.1 m more: 8 samples of
+        # 20.
         assert metrics["wall_recall"] == pytest.approx(0.4 * precision)
 
     def test_spurious_is_less_than_half_matched(self) -> None:
@@ -272,11 +329,15 @@ class TestWalls:
         wall = segments((0, 0, 1, 0))
         estimate = segments((0, 0.02, 0.6, 0.02), (0.4, -0.02, 1, -0.02))
         # Matching reaches 0.098 m past an end: samples 0.325 ... 0.675 match both, 8 of them.
-        assert wall_metrics(level_samples(wall), wall, estimate, STILL)["duplicate_m"] == pytest.approx(0.4)
+        assert wall_metrics(level_samples(wall), wall, estimate, STILL)[
+            "duplicate_m"
+        ] == pytest.approx(0.4)
 
     @pytest.mark.parametrize("shape", [(0, 4), (0,)])
     def test_an_empty_estimate_scores_zero(self, shape: tuple[int, ...]) -> None:
-        metrics = wall_metrics(level_samples(self.EDGES), self.EDGES, np.zeros(shape), np.array([1.0, 2.0, 0.5]))
+        metrics = wall_metrics(
+            level_samples(self.EDGES), self.EDGES, np.zeros(shape), np.array([1.0, 2.0, 0.5])
+        )
         assert len(metrics) == 9
         assert set(metrics.values()) == {0}
 
@@ -365,7 +426,10 @@ class TestCoverageClaims:
         # Just above, just below, and off the mask to the left and to the right.
         wrong = [(-0.975, 2.325), (-0.975, 2.075), (-1.025, 2.125), (-0.475, 2.125)]
         # A claimed cell has 0.0025 m^2: four of them a tenth of what can be covered.
-        assert self.claims(right) == {"coverage_claimed": pytest.approx(0.1), "coverage_correct": pytest.approx(0.1)}
+        assert self.claims(right) == {
+            "coverage_claimed": pytest.approx(0.1),
+            "coverage_correct": pytest.approx(0.1),
+        }
         both = {"coverage_claimed": pytest.approx(0.2), "coverage_correct": pytest.approx(0.1)}
         assert self.claims(right + wrong) == both
 
@@ -376,18 +440,30 @@ class TestCoverageClaims:
 class TestAssociation:
     def test_by_hand(self) -> None:
         events = [
-            AssociationEvent(0, is_new=True, true_walls=(4, 4, 4, 2)),  # rightly new: landmark 0 is wall 4
+            AssociationEvent(
+                0, is_new=True, true_walls=(4, 4, 4, 2)
+            ),  # rightly new: landmark 0 is wall 4
             AssociationEvent(0, is_new=False, true_walls=(4, 4)),  # right
-            AssociationEvent(0, is_new=False, true_walls=(4, -1, 4)),  # right: two of three readings
+            AssociationEvent(
+                0, is_new=False, true_walls=(4, -1, 4)
+            ),  # right: two of three readings
             AssociationEvent(0, is_new=False, true_walls=(2, 2, 2)),  # wrong
             AssociationEvent(1, is_new=True, true_walls=(2, 2)),  # rightly new
-            AssociationEvent(2, is_new=True, true_walls=(4, 4, 4)),  # wrongly new: wall 4 has landmark 0
+            AssociationEvent(
+                2, is_new=True, true_walls=(4, 4, 4)
+            ),  # wrongly new: wall 4 has landmark 0
             AssociationEvent(2, is_new=False, true_walls=(4,)),  # right
             AssociationEvent(1, is_new=False, true_walls=(2, 4)),  # mixed: half is no majority
-            AssociationEvent(1, is_new=False, true_walls=(-2, -2, -2, 2)),  # mixed: mostly another robot
+            AssociationEvent(
+                1, is_new=False, true_walls=(-2, -2, -2, 2)
+            ),  # mixed: mostly another robot
             AssociationEvent(3, is_new=True, true_walls=(-1, -1)),  # mixed: nothing was there
-            AssociationEvent(3, is_new=False, true_walls=(0, 0)),  # mixed: landmark 3 stands for no wall
-            AssociationEvent(4, is_new=True, true_walls=(0, 0)),  # rightly new: landmark 3 is not wall 0's
+            AssociationEvent(
+                3, is_new=False, true_walls=(0, 0)
+            ),  # mixed: landmark 3 stands for no wall
+            AssociationEvent(
+                4, is_new=True, true_walls=(0, 0)
+            ),  # rightly new: landmark 3 is not wall 0's
         ]
         assert association_metrics(events, 5) == {
             "association_right": 3,
@@ -404,13 +480,20 @@ class TestAssociation:
 
     def test_closures_by_hand(self) -> None:
         events = [
-            AssociationEvent(number, is_new=True, true_walls=(wall, wall)) for number, wall in enumerate((3, 3, 4, -1))
+            AssociationEvent(number, is_new=True, true_walls=(wall, wall))
+            for number, wall in enumerate((3, 3, 4, -1))
         ]
         found = closure_metrics(events, [(0, 1), (0, 2), (0, 3), (1, 9)], 5)
         assert found == {"closures_right": 1, "closures_wrong": 1, "closures_mixed": 2}
 
     def test_beams_on_other_robots_by_hand(self) -> None:
-        dropped, seen = np.array([[True, False, True], [False, True, False]]), np.array([[-2, -2, 3], [-1, -1, 0]])
+        dropped, seen = (
+            np.array([[True, False, True], [False, True, False]]),
+            np.array([[-2, -2, 3], [-1, -1, 0]]),
+        )
         found = dropped_beam_metrics(dropped, seen)
-        assert found == {"robot_beams_dropped": 0.5, "robot_beams_dropped_wrongly": pytest.approx(2.0 / 3.0)}
+        assert found == {
+            "robot_beams_dropped": 0.5,
+            "robot_beams_dropped_wrongly": pytest.approx(2.0 / 3.0),
+        }
         assert set(dropped_beam_metrics(dropped & (seen == 9), seen + 9).values()) == {None}

@@ -1,4 +1,6 @@
-"""Pictures of one environment and of a batch: their format, walls where walls are, robots that move, and overlays."""
+"""Pictures of one environment and of a batch: their format, walls where walls are, robots that
+move, and overlays.
+"""
 
 import math
 from dataclasses import replace
@@ -24,7 +26,9 @@ from limslam_env.rendering.rendering import RenderState, render
 AHEAD = np.array([1.0, 1.0])
 
 
-def picture_of(start: tuple[float, float, float], steps: int = 0, world: str | World = "env1") -> np.ndarray:
+def picture_of(
+    start: tuple[float, float, float], steps: int = 0, world: str | World = "env1"
+) -> np.ndarray:
     env = LimSlamEnv(world, render_mode="rgb_array")
     env.reset(seed=0, options={"start": start})
     for _ in range(steps):
@@ -44,7 +48,9 @@ def wall_box(picture: np.ndarray) -> tuple[int, int, int, int]:
 @pytest.mark.parametrize("size", [(5.03, 3.17), (3.3, 5.0), (30.0, 2.0)])
 def test_sides_are_even_whatever_the_shape_of_the_world(size):
     width, height = size
-    walls = np.array([[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]])
+    walls = np.array(
+        [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
+    )
     picture = picture_of((1.0, 1.0, 0.3), world=World("oblong", size, walls))
     assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
     top, bottom, left, right = wall_box(picture)
@@ -78,14 +84,16 @@ def test_the_picture_follows_the_robot_and_draws_its_path():
     assert after.shape == before.shape
     changed = (before != after).any(axis=2)
     assert 500 < changed.sum() < 0.2 * changed.size
-    # From (1.2, 2.0) the robot drove 0.9 m to the right; a path lies behind it that a robot put there has not.
+    # From (1.2, 2.0) the robot drove 0.9 m to the right; a path lies behind it that a robot put
+    # there has not.
     placed = picture_of((2.1, 2.0, 0.0))
     behind = (after != placed).any(axis=2)
     behind[:40] = False  # the caption
     columns = np.nonzero(behind.any(axis=0))[0]
     _, _, left, right = wall_box(before)
     metres = (columns - left) * 7.0 / (right - left)
-    # What was seen from the start lies behind it too, as far as the body reaches and half a cell more.
+    # What was seen from the start lies behind it too, as far as the body reaches and half a cell
+    # more.
     assert metres.min() == pytest.approx(1.1, abs=0.15)
 
 
@@ -100,7 +108,10 @@ def test_a_new_episode_forgets_the_old_path():
 
 
 def test_rendering_changes_nothing_in_the_episode_nor_in_earlier_pictures():
-    drawn, plain = LimSlamEnv("env1", sensor_noise=0.02, render_mode="rgb_array"), LimSlamEnv("env1", sensor_noise=0.02)
+    drawn, plain = (
+        LimSlamEnv("env1", sensor_noise=0.02, render_mode="rgb_array"),
+        LimSlamEnv("env1", sensor_noise=0.02),
+    )
     drawn.reset(seed=0)
     plain.reset(seed=0)
     first = drawn.render()
@@ -113,7 +124,8 @@ def test_rendering_changes_nothing_in_the_episode_nor_in_earlier_pictures():
     np.testing.assert_array_equal(first, copy)
 
 
-# What follows draws states made by hand, in a hall of 6 x 4 m whose lower left corner is not the origin.
+# What follows draws states made by hand, in a hall of 6 x 4 m whose lower left corner is not the
+# origin.
 
 LOW = np.array([-1.0, 2.0])
 ONE_BEAM = RobotSpec(beams=(SensorSpec(0.1, 0.0, 0.0),))
@@ -138,21 +150,31 @@ NOTHING_SEEN = np.zeros((1, 1), dtype=bool), np.zeros(2)
 def state_of(*poses, world: World = HALL, **changes) -> RenderState:
     poses = np.array(poses or [(0.0, 5.0, 0.0)])
     nothing = np.full((len(poses), 1), -1)
-    state = RenderState(world, ONE_BEAM, poses, nothing, np.full((len(poses), 1), 1.5), [], 0.0, 0.0, *NOTHING_SEEN)
+    state = RenderState(
+        world, ONE_BEAM, poses, nothing, np.full((len(poses), 1), 1.5), [], 0.0, 0.0, *NOTHING_SEEN
+    )
     return replace(state, **changes)
 
 
-def colours_at(picture: np.ndarray, x: float, y: float, world: World = HALL, reach: int = 1) -> np.ndarray:
+def colours_at(
+    picture: np.ndarray, x: float, y: float, world: World = HALL, reach: int = 1
+) -> np.ndarray:
     """Colours (k, 3) of the pixels around a place, m; where it falls is told by the walls."""
     top, bottom, left, right = wall_box(picture)
     corners = world.edges.reshape(-1, 2)
     share = (np.array([x, y]) - corners.min(axis=0)) / np.ptp(corners, axis=0)
     column, row = round(left + share[0] * (right - left)), round(bottom - share[1] * (bottom - top))
-    return picture[row - reach : row + reach + 1, column - reach : column + reach + 1].reshape(-1, 3).astype(int)
+    return (
+        picture[row - reach : row + reach + 1, column - reach : column + reach + 1]
+        .reshape(-1, 3)
+        .astype(int)
+    )
 
 
 def is_like(pixels: np.ndarray, colour) -> np.ndarray:
-    """Which pixels are nearer to a colour than to the floor: a thin line shares its pixels with it."""
+    """Which pixels are nearer to a colour than to the floor: a thin line shares its pixels with
+    it.
+    """
     paleness = np.abs(np.array(rendering._UNSEEN) - colour).sum()
     return np.abs(pixels - colour).sum(axis=1) < 0.6 * paleness
 
@@ -173,7 +195,9 @@ def test_seen_floor_is_lighter_where_it_was_seen_and_nowhere_else():
     picture = render(state_of(seen=seen_in_hall((4.0, 2.55), (4.45, 5.55)), seen_low=LOW))
     unseen = render(state_of())
     for x, y in ((4.0, 2.55), (4.45, 5.55)):
-        assert (colours_at(picture, x, y).sum(axis=1) > colours_at(unseen, x, y).sum(axis=1) + 30).all()
+        assert (
+            colours_at(picture, x, y).sum(axis=1) > colours_at(unseen, x, y).sum(axis=1) + 30
+        ).all()
         for aside in ((0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.0, -0.3)):
             place = (x + aside[0], y + aside[1])
             np.testing.assert_array_equal(colours_at(picture, *place), colours_at(unseen, *place))
@@ -181,7 +205,11 @@ def test_seen_floor_is_lighter_where_it_was_seen_and_nowhere_else():
 
 def test_beams_are_coloured_by_what_they_hit():
     ends = {}
-    for hit, colour in ((-1, rendering._NO_HIT), (4, rendering._WALL_HIT), (-2, rendering._ROBOT_HIT)):
+    for hit, colour in (
+        (-1, rendering._NO_HIT),
+        (4, rendering._WALL_HIT),
+        (-2, rendering._ROBOT_HIT),
+    ):
         picture = render(state_of(hits=np.array([[hit]]), ranges=np.array([[1.2]])))
         for x in (0.3, 0.7, 1.2):
             assert shows(picture, x, 5.0, colour)
@@ -226,8 +254,11 @@ def test_the_ellipse_holds_95_percent(turned):
     axes = np.array([[math.cos(turned), math.sin(turned)], [-math.sin(turned), math.cos(turned)]])
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = axes.T @ np.diag([0.3**2, 0.1**2]) @ axes
-    picture = render(state_of((4.5, 5.5, 0.0), overlay=[Overlay(np.array([1.0, 3.5, turned]), covariance)]))
-    # A normal distribution of the plane lies within 2.448 standard deviations with a probability of 95 %.
+    picture = render(
+        state_of((4.5, 5.5, 0.0), overlay=[Overlay(np.array([1.0, 3.5, turned]), covariance)])
+    )
+    # A normal distribution of the plane lies within 2.448 standard deviations with a probability of
+    # 95 %.
     for axis, std in ((axes[0], 0.3), (-axes[0], 0.3), (axes[1], 0.1), (-axes[1], 0.1)):
         tip = np.array([1.0, 3.5]) + 2.448 * std * axis
         assert shows(picture, *tip, rendering._BELIEF)
@@ -237,9 +268,12 @@ def test_the_ellipse_holds_95_percent(turned):
 @pytest.mark.parametrize("far", [1e12])
 def test_a_belief_that_is_far_off_is_drawn_as_far_as_it_can_be_seen(far):
     lost = Overlay(
-        np.array([far, -far, 1.0]), far**2 * np.eye(3), np.array([(2.0, 2.5, 2.0, far)]), np.full((2, 2), -far),
+        np.array([far, -far, 1.0]),
+        far**2 * np.eye(3),
+        np.array([(2.0, 2.5, 2.0, far)]),
+        np.full((2, 2), -far),
         np.array([(4.0, 2.5), (far, 2.5)]),
-    )  # fmt: skip
+    )
     picture, plain = render(state_of(overlay=[lost])), render(state_of())
     assert shows(picture, 2.0, 5.0, rendering._BELIEF)
     assert (colours_at(picture, 4.6, 2.5) != colours_at(plain, 4.6, 2.5)).any()
@@ -284,7 +318,9 @@ def square(env: LimSlamEnv):
     plain = rendering.render
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            rendering, "render", lambda state: plain(state, background=rendering.square_background(state.world))
+            rendering,
+            "render",
+            lambda state: plain(state, background=rendering.square_background(state.world)),
         )
         return env.render()
 
@@ -325,12 +361,16 @@ def test_each_environment_is_drawn_in_its_own_world(world, arguments, options):
             edges = batch._simulation.world(number).edges
             x, y, theta = infos["pose"][number]
             # A wall that is nearer than the shortest range is not where the reading ends.
-            seen = np.flatnonzero((infos["wall_seen"][number] >= 0) & (observations["ranges"][number] > 0.051))
+            seen = np.flatnonzero(
+                (infos["wall_seen"][number] >= 0) & (observations["ranges"][number] > 0.051)
+            )
             looked_at += len(seen)
             angles = theta + np.array([beam.angle for beam in batch.robot.beams])[seen]
             reach = batch.robot.radius + observations["ranges"][number, seen]
             ends = np.column_stack((x + reach * np.cos(angles), y + reach * np.sin(angles)))
-            for (x1, y1, x2, y2), (u, v) in zip(edges[infos["wall_seen"][number, seen]], ends, strict=True):
+            for (x1, y1, x2, y2), (u, v) in zip(
+                edges[infos["wall_seen"][number, seen]], ends, strict=True
+            ):
                 off = abs((x2 - x1) * (v - y1) - (y2 - y1) * (u - x1)) / np.hypot(x2 - x1, y2 - y1)
                 assert off < 1e-5
     assert looked_at > 6
@@ -342,9 +382,17 @@ def test_a_reset_with_a_seed_of_some_leaves_the_others_in_their_worlds(arguments
     batch.reset(seed=0)
     worlds, pictures = [batch._simulation.world(number) for number in range(3)], batch.render()
     batch.reset(seed=5, options={"reset_mask": np.array([True, False, False])})
-    assert [batch._simulation.world(number) == worlds[number] for number in range(3)] == [False, True, True]
+    assert [batch._simulation.world(number) == worlds[number] for number in range(3)] == [
+        False,
+        True,
+        True,
+    ]
     after = batch.render()
-    assert [np.array_equal(after[number], pictures[number]) for number in range(3)] == [False, True, True]
+    assert [np.array_equal(after[number], pictures[number]) for number in range(3)] == [
+        False,
+        True,
+        True,
+    ]
 
 
 def test_a_new_episode_begins_a_new_trail():
@@ -369,11 +417,17 @@ POSE = np.array([1.0, 2.0, 0.5])
 
 def test_empty_lists_are_no_rows():
     overlay = Overlay(segments=[], frontier=[], plan=[])
-    assert (overlay.segments.shape, overlay.frontier.shape, overlay.plan.shape) == ((0, 4), (0, 2), (0, 2))
+    assert (overlay.segments.shape, overlay.frontier.shape, overlay.plan.shape) == (
+        (0, 4),
+        (0, 2),
+        (0, 2),
+    )
 
 
 def test_lists_and_other_number_types_will_do():
-    overlay = Overlay((1, 2, 0), np.eye(3, dtype=np.float32), [[0, 0, 1, 1]], [[1, 2], [3, 4]], [[5, 6]])
+    overlay = Overlay(
+        (1, 2, 0), np.eye(3, dtype=np.float32), [[0, 0, 1, 1]], [[1, 2], [3, 4]], [[5, 6]]
+    )
     for name in ("pose", "covariance", "segments", "frontier", "plan"):
         assert getattr(overlay, name).dtype == float
     np.testing.assert_array_equal(overlay.frontier, [[1.0, 2.0], [3.0, 4.0]])
@@ -381,9 +435,12 @@ def test_lists_and_other_number_types_will_do():
 
 def test_arrays_are_copies_that_nobody_can_write_to():
     given = {
-        "pose": POSE.copy(), "covariance": np.eye(3), "segments": np.ones((2, 4)), "frontier": np.ones((3, 2)),
+        "pose": POSE.copy(),
+        "covariance": np.eye(3),
+        "segments": np.ones((2, 4)),
+        "frontier": np.ones((3, 2)),
         "plan": np.ones((4, 2)),
-    }  # fmt: skip
+    }
     before = {name: array.copy() for name, array in given.items()}
     overlay = Overlay(**given)
     for name, array in given.items():
@@ -403,7 +460,10 @@ def test_arrays_are_copies_that_nobody_can_write_to():
         ({"frontier": np.zeros((2, 3))}, "frontier must have shape"),
         ({"plan": [[0.0, 1.0], [2.0]]}, "plan must be an array of numbers"),
         ({"pose": [np.nan, 0.0, 0.0]}, "pose holds a number that is not finite"),
-        ({"pose": POSE, "covariance": np.full((3, 3), np.inf)}, "covariance holds a number that is not finite"),
+        (
+            {"pose": POSE, "covariance": np.full((3, 3), np.inf)},
+            "covariance holds a number that is not finite",
+        ),
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_one_line(arguments, words):

@@ -1,4 +1,6 @@
-"""The window and driving by keyboard, with SDL's dummy driver: nothing is seen, all else happens."""
+"""The window and driving by keyboard, with SDL's dummy driver: nothing is seen, all else
+happens.
+"""
 
 import math
 import os
@@ -84,7 +86,9 @@ def test_a_key_tapped_between_two_looks_is_not_missed(window, pygame):
     assert window.pressed_keys() == frozenset()
 
 
-@pytest.mark.parametrize("look", [lambda window: window.show(PICTURE), lambda window: window.pressed_keys()])
+@pytest.mark.parametrize(
+    "look", [lambda window: window.show(PICTURE), lambda window: window.pressed_keys()]
+)
 def test_closing_by_the_user_is_noticed_and_lasts(window, pygame, look):
     window.show(PICTURE)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
@@ -126,12 +130,22 @@ def test_without_pygame_it_says_what_to_install(monkeypatch):
 
 def test_without_a_display_it_shows_pictures_to_nobody():
     code = (
-        "import numpy as np; from limslam_env.rendering.window import Window, has_display; assert not has_display();"
-        "window = Window('test', 100.0); window.show(np.zeros((20, 30, 3), np.uint8)); window.close()"
+        "import numpy as np; from limslam_env.rendering.window import Window, has_display; assert "
+        "not has_display();"
+        "window = Window('test', 100.0); window.show(np.zeros((20, 30, 3), np.uint8)); "
+        "window.close()"
     )
-    bare = {name: value for name, value in os.environ.items() if "DISPLAY" not in name and "SDL" not in name}
+    bare = {
+        name: value
+        for name, value in os.environ.items()
+        if "DISPLAY" not in name and "SDL" not in name
+    }
     result = subprocess.run(
-        [sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False, env=bare
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=bare,
     )
     assert (result.returncode, result.stdout, result.stderr) == (0, "", "")
 
@@ -195,7 +209,9 @@ def drive_with(pygame, monkeypatch):
             poses.append(result[4]["pose"])
             if left and (name := left.pop(0)):
                 kind = pygame.KEYUP if name[0] == "-" else pygame.KEYDOWN
-                pygame.event.post(pygame.event.Event(kind, key=pygame.key.key_code(name.lstrip("-"))))
+                pygame.event.post(
+                    pygame.event.Event(kind, key=pygame.key.key_code(name.lstrip("-")))
+                )
             return result
 
         monkeypatch.setattr(play_module.LimSlamEnv, "step", step_and_press)

@@ -25,7 +25,9 @@ def box_world(*walls: list[float]) -> World:
 
 
 def seen_from(world: World, poses: FloatArray) -> np.ndarray:
-    """The cells that beams and body mark at each of the poses in turn, one robot alone in the world."""
+    """The cells that beams and body mark at each of the poses in turn, one robot alone in the
+    world.
+    """
     grid, beams = coverage_grid(world, ROBOT, world.starts[:1]), len(ROBOT.beams)
     noise = noise_table(vars(NoiseConfig()), ROBOT)
     walls, table = build_wall_index(world.edges), beam_table(ROBOT)
@@ -33,11 +35,26 @@ def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     is_moved = True
     for pose in poses[:, None]:
         drive_and_observe(
-            is_moved, 0, np.zeros((1, beams + 2, 2)), pose, np.zeros(3), np.zeros((1, 2)), np.zeros((1, 2)),
-            ROBOT.radius, table, noise, walls, seen, grid.coverable, grid.area, np.zeros((1, 2)),
-            np.zeros((1, beams), dtype=np.int64), np.zeros((1, beams), dtype=np.float32),
-            np.zeros((1, 2), dtype=np.float32), found,
-        )  # fmt: skip
+            is_moved,
+            0,
+            np.zeros((1, beams + 2, 2)),
+            pose,
+            np.zeros(3),
+            np.zeros((1, 2)),
+            np.zeros((1, 2)),
+            ROBOT.radius,
+            table,
+            noise,
+            walls,
+            seen,
+            grid.coverable,
+            grid.area,
+            np.zeros((1, 2)),
+            np.zeros((1, beams), dtype=np.int64),
+            np.zeros((1, beams), dtype=np.float32),
+            np.zeros((1, 2), dtype=np.float32),
+            found,
+        )
         new += found[0]
     assert new == np.count_nonzero(seen & grid.coverable), "what counts as new is counted once"
     return seen
@@ -82,11 +99,16 @@ def test_a_body_marks_the_cells_that_it_touches():
     generator = np.random.default_rng(1)
     rows, columns = np.mgrid[0:40, 0:40]
     for _ in range(200):
-        x, y, radius = generator.uniform(-0.5, 4.5), generator.uniform(-0.5, 4.5), generator.uniform(0.03, 0.6)
+        x, y, radius = (
+            generator.uniform(-0.5, 4.5),
+            generator.uniform(-0.5, 4.5),
+            generator.uniform(0.03, 0.6),
+        )
         seen = np.zeros((40, 40), dtype=bool)
         mark_disc(seen, seen.copy(), np.array([0.0, 0.0, CELL]), x, y, radius)
         gap = np.hypot(
-            x - np.clip(x, columns * CELL, (columns + 1) * CELL), y - np.clip(y, rows * CELL, (rows + 1) * CELL)
+            x - np.clip(x, columns * CELL, (columns + 1) * CELL),
+            y - np.clip(y, rows * CELL, (rows + 1) * CELL),
         )
         # A body may stand a millimetre in a wall, which must not show what lies behind.
         assert seen[gap < radius - 2e-3].all()
@@ -109,7 +131,9 @@ def test_a_beam_marks_the_cells_that_it_crosses_and_no_others():
     near_a_beam = np.zeros(len(x), dtype=bool)
     for beam in ROBOT.beams:
         off_axis = distance * np.abs(np.sin(bearing - beam.angle))
-        near_a_beam |= (off_axis <= CELL * math.sqrt(0.5) + 1e-9) & (np.cos(bearing - beam.angle) > -1e-9)
+        near_a_beam |= (off_axis <= CELL * math.sqrt(0.5) + 1e-9) & (
+            np.cos(bearing - beam.angle) > -1e-9
+        )
     assert (near_a_beam | (distance < ROBOT.radius + CELL)).all()
     assert seen[10:20, 10].all(), "the beam to the left reaches the wall 0.95 m away"
     assert seen[0:10, 10].all()
@@ -150,7 +174,9 @@ def test_what_can_be_seen_in_a_drive_was_coverable(name):
 
 
 def test_only_beams_that_measured_in_a_step_count():
-    slow = RobotSpec(beams=[replace(beam, period=10) for beam in beams_on_rim((90.0, 45.0), ROBOT.radius)])
+    slow = RobotSpec(
+        beams=[replace(beam, period=10) for beam in beams_on_rim((90.0, 45.0), ROBOT.radius)]
+    )
     simulation = Simulation(load_world("env1"), slow)
     _, truth = simulation.reset(np.random.SeedSequence(0), NoiseConfig())
     assert truth.coverage > 0.0
@@ -167,7 +193,10 @@ def test_what_two_robots_see_at_once_counts_for_the_first_of_them():
     _, both = simulation.reset(np.random.SeedSequence(0), NoiseConfig(), poses)
     total = simulation.coverage_grid.total
     alone = [
-        Simulation(world, ROBOT).reset(np.random.SeedSequence(0), NoiseConfig(), pose)[1].new_area[0] for pose in poses
+        Simulation(world, ROBOT)
+        .reset(np.random.SeedSequence(0), NoiseConfig(), pose)[1]
+        .new_area[0]
+        for pose in poses
     ]
     assert both.new_area[0] == pytest.approx(alone[0])
     assert 0.0 < both.new_area[1] < alone[1]

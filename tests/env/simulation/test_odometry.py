@@ -1,4 +1,6 @@
-"""Wheel encoders: their noise and steps, and wheels that slip or stand elsewhere than the data sheet says."""
+"""Wheel encoders: their noise and steps, and wheels that slip or stand elsewhere than the data
+sheet says.
+"""
 
 import math
 
@@ -11,15 +13,22 @@ from limslam_env.geometry import FloatArray, se2
 ROBOT = RobotSpec()
 SIDE = 60.0
 # Large enough that no drive in here meets a wall before it means to.
-HALL = World("hall", (SIDE, SIDE), SIDE * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]]))
+HALL = World(
+    "hall", (SIDE, SIDE), SIDE * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]])
+)
 MIDDLE = np.array([0.5 * SIDE, 0.5 * SIDE, 0.3])
 TOP = ROBOT.max_wheel_speed * ROBOT.control_period
 
 
 def drive(
-    noise: NoiseConfig, actions: list[tuple[float, float]], seed: int = 0, start: FloatArray = MIDDLE
+    noise: NoiseConfig,
+    actions: list[tuple[float, float]],
+    seed: int = 0,
+    start: FloatArray = MIDDLE,
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """What the wheels report (n, 2), the true poses (n + 1, 3), and whether the robot touches a wall at the end."""
+    """What the wheels report (n, 2), the true poses (n + 1, 3), and whether the robot touches a
+    wall at the end.
+    """
     env = LimSlamEnv(HALL, noise=noise, coverage_goal=None)
     poses, wheels = [env.reset(seed=seed, options={"start": start})[1]["pose"]], []
     for action in actions:
@@ -67,7 +76,8 @@ def test_unequal_wheels_drive_as_before_and_only_report_otherwise():
 
 
 def test_the_encoders_draw_alike_whatever_the_noise():
-    # What follows in the run is not shifted by slips, steps or mismatches: its noise is that of the plain run.
+    # What follows in the run is not shifted by slips, steps or mismatches: its noise is that of the
+    # plain run.
     actions = [(0.9, 0.4)] * 100
     plain, odd = (
         drive(noise, actions)[0]
@@ -90,7 +100,9 @@ def test_in_contact_the_encoders_go_on_reporting_the_wheels():
 def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
     share, count = 0.4, 400
     wheels, poses, _ = drive(
-        NoiseConfig(wheel_variance=0.0, slip_rate=8.0, slip_share=share), [(1.0, 0.8)] * count, seed=3
+        NoiseConfig(wheel_variance=0.0, slip_rate=8.0, slip_share=share),
+        [(1.0, 0.8)] * count,
+        seed=3,
     )
     asked = TOP * np.array([1.0, 0.8])
     np.testing.assert_allclose(wheels, np.tile(asked, (count, 1)), atol=1e-8)
@@ -103,7 +115,9 @@ def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
 
 
 def test_each_robot_slips_on_its_own():
-    env = LimSlamParallelEnv(HALL, num_robots=2, noise=NoiseConfig(slip_rate=10.0, slip_share=1.0), coverage_goal=None)
+    env = LimSlamParallelEnv(
+        HALL, num_robots=2, noise=NoiseConfig(slip_rate=10.0, slip_share=1.0), coverage_goal=None
+    )
     _, infos = env.reset(seed=0, options={"start": [(20.0, 20.0, 0.0), (40.0, 40.0, 0.0)]})
     moved = []
     for _ in range(200):
@@ -118,9 +132,13 @@ def test_each_robot_slips_on_its_own():
 
 def test_an_axle_mismatch_is_the_arc_of_the_true_axle():
     actions = np.random.default_rng(4).uniform(-1.0, 1.0, (100, 2))
-    _, poses, _ = drive(NoiseConfig(axle_mismatch=0.08), [tuple(action) for action in actions.tolist()])
+    _, poses, _ = drive(
+        NoiseConfig(axle_mismatch=0.08), [tuple(action) for action in actions.tolist()]
+    )
     expected = MIDDLE
     for action, pose in zip(actions, poses[1:], strict=True):
-        expected = se2.compose(expected, se2.arc(*se2.wheels_to_arc(TOP * action, 1.08 * ROBOT.axle)))
+        expected = se2.compose(
+            expected, se2.arc(*se2.wheels_to_arc(TOP * action, 1.08 * ROBOT.axle))
+        )
         np.testing.assert_allclose(pose[:2], expected[:2], atol=1e-9)
         assert abs(se2.wrap_angle(pose[2] - expected[2])) < 1e-9

@@ -26,7 +26,9 @@ WEDGE = ring([(0.0, 0.0), (2.0, 0.0), (2.0, 0.6)])
 CELL = ring([(0.0, 0.0), (0.8, 0.0), (0.8, 0.8), (0.0, 0.8)])
 
 
-def physics(edges: FloatArray, *poses: tuple[float, float, float], radius: float = RADIUS) -> Physics:
+def physics(
+    edges: FloatArray, *poses: tuple[float, float, float], radius: float = RADIUS
+) -> Physics:
     model = Physics(edges, radius, len(poses))
     model.place(np.array(poses, dtype=float), AXLE)
     return model
@@ -52,7 +54,9 @@ def random_actions(seed: int, robots: int, steps: int, hold: int = 20):
     generator = np.random.default_rng(seed)
     for step in range(steps):
         if step % hold == 0:
-            action = generator.uniform(-1.0, 1.0, (robots, 2)) + generator.choice([-1, 0, 1], (robots, 1))
+            action = generator.uniform(-1.0, 1.0, (robots, 2)) + generator.choice(
+                [-1, 0, 1], (robots, 1)
+            )
         yield (np.clip(action, -1.0, 1.0) * TOP).tolist()
 
 
@@ -132,7 +136,10 @@ def ring_of(corners: FloatArray) -> FloatArray:
     return np.array([[left, low], [right, low], [right, high], [left, high]])
 
 
-@given(st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), min_size=1, max_size=8), st.floats(-3.2, 3.2))
+@given(
+    st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), min_size=1, max_size=8),
+    st.floats(-3.2, 3.2),
+)
 @settings(deadline=None, max_examples=60)
 def test_no_sequence_of_pushes_gets_deep_into_a_wedge(actions, heading):
     model = physics(WEDGE, (1.8, 0.25, heading))
@@ -174,7 +181,8 @@ def test_robots_never_overlap_nor_enter_walls(edges, starts, seed):
 
 @pytest.mark.parametrize("seed", [3, 16, 58])
 def test_robots_that_push_each_other_into_a_wedge_do_not_overlap(seed):
-    # Wedged, a robot cannot give way: what is done about the walls must not be at the other robot's cost.
+    # Wedged, a robot cannot give way: what is done about the walls must not be at the other robot's
+    # cost.
     model = physics(WEDGE, (1.6, 0.2, math.pi), (1.85, 0.2, math.pi))
     for travel in random_actions(seed, 2, 1500):
         model.step(travel, PERIOD)
@@ -196,7 +204,10 @@ def test_fast_robots_do_not_pass_through_each_other(speed):
 @pytest.mark.parametrize(("robots", "speed"), [(1, 0.3), (3, 2.0)], ids=["usual", "fast"])
 def test_the_compiled_step_moves_robots_as_the_physics_does(robots, speed):
     robot, world = RobotSpec(max_wheel_speed=speed), load_world("env3")
-    simulation, physics = Simulation(world, robot, robots), Physics(world.edges, robot.radius, robots)
+    simulation, physics = (
+        Simulation(world, robot, robots),
+        Physics(world.edges, robot.radius, robots),
+    )
     physics.place(simulation.reset(np.random.SeedSequence(1), NoiseConfig())[1].poses, robot.axle)
     generator, touches = np.random.default_rng(2), 0
     for step in range(600):

@@ -16,7 +16,9 @@ from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, c
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 REACH = 3.0
-BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
+BOX = np.array(
+    [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
+)
 BOX_WORLD = World("box", (4.0, 4.0), BOX)
 ROBOT = RobotSpec()
 FRONT = RobotSpec(beams=beams_on_rim((0.0, 90.0, 180.0, -90.0), 0.10))
@@ -36,21 +38,35 @@ def box_with(*walls: tuple[float, float, float, float]) -> World:
     return World("box", (4.0, 4.0), np.vstack((BOX, *(np.array([wall]) for wall in walls))))
 
 
-def random_rays(edges: FloatArray, count: int, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rays from inside and from a little outside of the walls, so that some leave the index's grid."""
+def random_rays(
+    edges: FloatArray, count: int, seed: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Rays from inside and from a little outside of the walls, so that some leave the index's
+    grid.
+    """
     generator = np.random.default_rng(seed)
     corners, margin = edges.reshape(-1, 2), 0.9 * CELL
-    origins = generator.uniform(corners.min(axis=0) - margin, corners.max(axis=0) + margin, (count, 2))
-    return origins, unit(generator.uniform(-math.pi, math.pi, count)), generator.uniform(0.1, REACH, count)
+    origins = generator.uniform(
+        corners.min(axis=0) - margin, corners.max(axis=0) + margin, (count, 2)
+    )
+    return (
+        origins,
+        unit(generator.uniform(-math.pi, math.pi, count)),
+        generator.uniform(0.1, REACH, count),
+    )
 
 
-def brute_force(edges: FloatArray, origins: FloatArray, directions: FloatArray, lengths: FloatArray):
+def brute_force(
+    edges: FloatArray, origins: FloatArray, directions: FloatArray, lengths: FloatArray
+):
     """Every ray against every wall, by Cramer's rule."""
     start, span = edges[None, :, :2] - origins[:, None], (edges[:, 2:] - edges[:, :2])[None]
     cross = directions[:, None, 0] * span[..., 1] - directions[:, None, 1] * span[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = (start[..., 0] * span[..., 1] - start[..., 1] * span[..., 0]) / cross
-        fraction = (start[..., 0] * directions[:, None, 1] - start[..., 1] * directions[:, None, 0]) / cross
+        fraction = (
+            start[..., 0] * directions[:, None, 1] - start[..., 1] * directions[:, None, 0]
+        ) / cross
     distance = np.where((distance >= 0.0) & (fraction >= 0.0) & (fraction <= 1.0), distance, np.inf)
     nearest = distance.argmin(axis=1)
     best = distance[np.arange(len(origins)), nearest]
@@ -60,29 +76,55 @@ def brute_force(edges: FloatArray, origins: FloatArray, directions: FloatArray, 
 def look(
     edges: FloatArray, pose: tuple[float, float, float], robot: RobotSpec, cone: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
-    """Walls hit (n_beams,) and ranges (n_beams,) of a robot that may stand where no robot could start."""
+    """Walls hit (n_beams,) and ranges (n_beams,) of a robot that may stand where no robot could
+    start.
+    """
     noise = noise_table(vars(NoiseConfig(cone=cone)), robot)
     is_moved, count, cells = True, len(robot.beams), np.zeros((1, 1), dtype=bool)
     hits, ranges = np.zeros((1, count), dtype=np.int64), np.zeros((1, count), dtype=np.float32)
     drive_and_observe(
-        is_moved, 0, np.zeros((1, count + 2, 2)), np.array([pose]), np.zeros(3), np.zeros((1, 2)), np.zeros((1, 2)),
-        robot.radius, beam_table(robot), noise, build_wall_index(edges), cells.copy(), cells,
-        np.array([0.0, 0.0, 0.1]), np.zeros((1, 2)), hits, ranges, np.zeros((1, 2), dtype=np.float32),
+        is_moved,
+        0,
+        np.zeros((1, count + 2, 2)),
+        np.array([pose]),
+        np.zeros(3),
+        np.zeros((1, 2)),
+        np.zeros((1, 2)),
+        robot.radius,
+        beam_table(robot),
+        noise,
+        build_wall_index(edges),
+        cells.copy(),
+        cells,
+        np.array([0.0, 0.0, 0.1]),
+        np.zeros((1, 2)),
+        hits,
+        ranges,
+        np.zeros((1, 2), dtype=np.float32),
         np.zeros(1, dtype=np.int64),
-    )  # fmt: skip
+    )
     return hits[0], ranges[0]
 
 
 def sight(
-    world: World, robot: RobotSpec, *poses: tuple[float, float, float], noise: NoiseConfig = NO_WHEEL_NOISE
+    world: World,
+    robot: RobotSpec,
+    *poses: tuple[float, float, float],
+    noise: NoiseConfig = NO_WHEEL_NOISE,
 ) -> tuple[Readings, Truth]:
     """The first observation of robots at the given poses."""
-    return Simulation(world, robot, len(poses)).reset(np.random.SeedSequence(0), noise, np.array(poses))
+    return Simulation(world, robot, len(poses)).reset(
+        np.random.SeedSequence(0), noise, np.array(poses)
+    )
 
 
 @pytest.mark.parametrize("name", [*SHIPPED_WORLDS, "random walls"])
 def test_rays_agree_with_every_ray_against_every_wall(name):
-    edges = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 4)) if name == "random walls" else load_world(name).edges
+    edges = (
+        np.random.default_rng(5).uniform(-3.0, 3.0, (60, 4))
+        if name == "random walls"
+        else load_world(name).edges
+    )
     rays = random_rays(edges, 10_000, seed=2)
     found, hits = cast(build_wall_index(edges), *rays)
     distance, nearest = brute_force(edges, *rays)
@@ -94,16 +136,23 @@ def test_rays_agree_with_every_ray_against_every_wall(name):
 
 @pytest.mark.parametrize("shift", [0.0, 0.1, 1e-7])
 def test_rays_and_walls_along_the_borders_of_the_index_miss_nothing(shift):
-    # Walls on round numbers lie on the borders of the cells that the index sorts them by, or next to them.
+    # Walls on round numbers lie on the borders of the cells that the index sorts them by, or next
+    # to them.
     edges = np.array(
-        [[x, y, x + dx, y + dy] for x in range(5) for y in range(5) for dx, dy in ((0.4, 0.0), (0.0, 0.4))]
+        [
+            [x, y, x + dx, y + dy]
+            for x in range(5)
+            for y in range(5)
+            for dx, dy in ((0.4, 0.0), (0.0, 0.4))
+        ]
     )
     edges += shift
     grid = np.arange(0.0, 4.5, 0.5) + shift
     origins = np.array([(x, y) for x in grid for y in grid for _ in range(8)])
     directions = np.tile(unit(np.arange(8) * math.pi / 4.0), (len(grid) ** 2, 1))
     lengths = np.full(len(origins), REACH)
-    # Straight along a wall, or right through its end, either answer would do: a hair beside there is only one.
+    # Straight along a wall, or right through its end, either answer would do: a hair beside there
+    # is only one.
     origins += 1e-5
     found, _ = cast(build_wall_index(edges), origins, directions, lengths)
     distance, _ = brute_force(edges, origins, directions, lengths)
@@ -123,14 +172,18 @@ def test_a_robot_is_seen_at_its_rim_and_not_by_its_own_beams():
     # Robot 0 looks along x at robot 1, which looks back with its left beam; centres 1 m apart.
     readings, truth = sight(BOX_WORLD, FRONT, (1.0, 2.0, 0.0), (2.0, 2.0, math.pi / 2))
     np.testing.assert_array_equal(truth.wall_seen, [[-2, -1, 3, -1], [-1, -2, -1, -1]])
-    np.testing.assert_allclose(readings.ranges, [[0.8, 1.5, 0.9, 1.5], [1.5, 0.8, 1.5, 1.5]], atol=1e-6)
+    np.testing.assert_allclose(
+        readings.ranges, [[0.8, 1.5, 0.9, 1.5], [1.5, 0.8, 1.5, 1.5]], atol=1e-6
+    )
 
 
 def test_robots_see_each_other_where_geometry_says():
     generator = np.random.default_rng(2)
     simulation, seen = Simulation(BOX_WORLD, ROBOT, 3), 0
     for _ in range(60):
-        poses = np.column_stack((generator.uniform(0.5, 3.5, (3, 2)), generator.uniform(-math.pi, math.pi, 3)))
+        poses = np.column_stack(
+            (generator.uniform(0.5, 3.5, (3, 2)), generator.uniform(-math.pi, math.pi, 3))
+        )
         if min(np.hypot(*(poses[a, :2] - poses[b, :2])) for a, b in ((0, 1), (0, 2), (1, 2))) < 0.3:
             continue
         readings, truth = simulation.reset(np.random.SeedSequence(0), NO_WHEEL_NOISE, poses)
@@ -155,9 +208,12 @@ def test_a_robot_in_front_hides_a_wall_and_counts_for_no_wall():
 
 @pytest.mark.parametrize("depth", [0.0, 1e-3])
 def test_a_robot_pressed_to_a_wall_never_sees_through_it(depth):
-    # The rim, where beams start, may lie a little behind the wall; the second wall is what would be seen then.
+    # The rim, where beams start, may lie a little behind the wall; the second wall is what would be
+    # seen then.
     edges = np.array([[-9.0, 0.0, 9.0, 0.0], [-9.0, -0.5, 9.0, -0.5]])
-    robot = RobotSpec(beams=tuple(SensorSpec(b.x, b.y, b.angle, min_range=0.0) for b in ROBOT.beams))
+    robot = RobotSpec(
+        beams=tuple(SensorSpec(b.x, b.y, b.angle, min_range=0.0) for b in ROBOT.beams)
+    )
     for heading in np.linspace(-math.pi, math.pi, 721):
         hits, ranges = look(edges, (0.0, robot.radius - depth, heading), robot)
         angles = heading + robot.beam_angles
@@ -170,31 +226,55 @@ def test_a_robot_pressed_to_a_wall_never_sees_through_it(depth):
 
 
 def test_a_beam_that_starts_at_the_middle_measures_from_there():
-    robot = RobotSpec(beams=(SensorSpec(0.0, 0.0, 0.0), SensorSpec(-0.05, 0.0, math.pi), SensorSpec(0.0, 0.05, 0.0)))
+    robot = RobotSpec(
+        beams=(
+            SensorSpec(0.0, 0.0, 0.0),
+            SensorSpec(-0.05, 0.0, math.pi),
+            SensorSpec(0.0, 0.05, 0.0),
+        )
+    )
     readings, _ = sight(BOX_WORLD, robot, (1.0, 3.4, math.pi))
     np.testing.assert_allclose(readings.ranges, [[1.0, 1.5, 1.0]], atol=1e-6)
 
 
-def readings_of(ideal: float, count: int, seed: int = 0, hit: int = 0, **noise: float) -> FloatArray:
+def readings_of(
+    ideal: float, count: int, seed: int = 0, hit: int = 0, **noise: float
+) -> FloatArray:
     """Many readings of the same thing."""
     table, generator = noise_table(vars(NoiseConfig(**noise)), FRONT), np.random.default_rng(seed)
     drawn = zip(generator.standard_normal(count), generator.random(count), strict=True)
-    return np.array([noisy_reading(ideal, hit, 0.05, 1.5, *table[:5], normal, uniform) for normal, uniform in drawn])
+    return np.array(
+        [
+            noisy_reading(ideal, hit, 0.05, 1.5, *table[:5], normal, uniform)
+            for normal, uniform in drawn
+        ]
+    )
 
 
 def test_the_simulation_makes_the_asked_noise_apart_for_each_beam():
     simulation, std, count = Simulation(BOX_WORLD, FRONT), 0.03, 4000
-    simulation.reset(np.random.SeedSequence(1), NoiseConfig(sensor_noise=std), np.array([1.0, 1.0, 0.0]))
-    ranges = np.array([simulation.step([(0.0, 0.0)])[0].ranges[0] for _ in range(count)], dtype=float)
+    simulation.reset(
+        np.random.SeedSequence(1), NoiseConfig(sensor_noise=std), np.array([1.0, 1.0, 0.0])
+    )
+    ranges = np.array(
+        [simulation.step([(0.0, 0.0)])[0].ranges[0] for _ in range(count)], dtype=float
+    )
     errors = ranges[:, 2:] - 0.9
     assert (np.abs(errors.mean(axis=0)) < 5.0 * std / math.sqrt(count)).all()
     np.testing.assert_allclose(errors.std(axis=0), std, rtol=5.0 / math.sqrt(2.0 * count))
     assert abs(np.corrcoef(errors.T)[0, 1]) < 5.0 / math.sqrt(count), "beams err apart"
-    assert abs(np.corrcoef(errors[:-1, 0], errors[1:, 0])[0, 1]) < 5.0 / math.sqrt(count), "and step by step"
+    assert abs(np.corrcoef(errors[:-1, 0], errors[1:, 0])[0, 1]) < 5.0 / math.sqrt(count), (
+        "and step by step"
+    )
 
 
 def test_a_beam_that_hits_nothing_reads_its_maximum_exactly():
-    noise = {"sensor_noise": 0.04, "range_noise_growth": 0.02, "range_resolution": 0.07, "fold_back": 3.0}
+    noise = {
+        "sensor_noise": 0.04,
+        "range_noise_growth": 0.02,
+        "range_resolution": 0.07,
+        "fold_back": 3.0,
+    }
     np.testing.assert_array_equal(readings_of(1.5, 500, hit=NOTHING, **noise), 1.5)
 
 
@@ -206,8 +286,12 @@ def ranges_of_a_drive(robots: int = 1, **noise: float) -> FloatArray:
 
 
 def test_dropout_does_not_change_the_other_draws():
-    # A step takes the same numbers whatever the noise is: a run with dropout is paired with one without.
-    without, dropped = ranges_of_a_drive(sensor_noise=0.02), ranges_of_a_drive(sensor_noise=0.02, dropout=0.3)
+    # A step takes the same numbers whatever the noise is: a run with dropout is paired with one
+    # without.
+    without, dropped = (
+        ranges_of_a_drive(sensor_noise=0.02),
+        ranges_of_a_drive(sensor_noise=0.02, dropout=0.3),
+    )
     kept = dropped != 1.5
     assert kept.any()
     np.testing.assert_array_equal(dropped[kept], without[kept])
@@ -236,7 +320,9 @@ def test_a_sharp_sensor_s_noise_grows_with_the_squared_range(ideal):
     assert found.std() == pytest.approx(growth * ideal**2, rel=5.0 / math.sqrt(2.0 * count))
     # What it has at any range comes on top, as independent errors add up.
     both = readings_of(ideal, count, sensor_noise=0.01, range_noise_growth=growth)
-    assert both.std() == pytest.approx(math.hypot(0.01, growth * ideal**2), rel=5.0 / math.sqrt(2.0 * count))
+    assert both.std() == pytest.approx(
+        math.hypot(0.01, growth * ideal**2), rel=5.0 / math.sqrt(2.0 * count)
+    )
 
 
 @pytest.mark.parametrize("resolution", [0.01, 0.025])
@@ -251,11 +337,15 @@ def test_readings_come_in_steps_of_the_resolution(resolution):
 
 def test_a_robot_that_drives_up_to_a_wall_reads_less_and_then_more():
     simulation = Simulation(BOX_WORLD, ONE_BEAM)
-    simulation.reset(np.random.SeedSequence(0), NoiseConfig(fold_back=4.0), np.array([3.7, 2.0, 0.0]))
+    simulation.reset(
+        np.random.SeedSequence(0), NoiseConfig(fold_back=4.0), np.array([3.7, 2.0, 0.0])
+    )
     steps = [simulation.step([(0.1, 0.1)]) for _ in range(80)]
     gaps = np.array([3.9 - truth.poses[0, 0] for _, truth in steps])
     ranges = np.array([readings.ranges[0, 0] for readings, _ in steps], dtype=float)
-    np.testing.assert_allclose(ranges, np.where(gaps < 0.05, 0.05 + 4.0 * (0.05 - gaps), gaps), atol=1e-6)
+    np.testing.assert_allclose(
+        ranges, np.where(gaps < 0.05, 0.05 + 4.0 * (0.05 - gaps), gaps), atol=1e-6
+    )
     assert ranges[-1] > ranges.min() + 0.15
     assert steps[-1][1].contact[0]
 
@@ -263,9 +353,14 @@ def test_a_robot_that_drives_up_to_a_wall_reads_less_and_then_more():
 def post(bearing: float, distance: float, width: float) -> list[tuple[float, float, float, float]]:
     """A square post seen at a bearing (rad) and distance (m) of its near side from (1, 2)."""
     half = 0.5 * width
-    corners = np.array([(distance, -half), (distance + width, -half), (distance + width, half), (distance, half)])
+    corners = np.array(
+        [(distance, -half), (distance + width, -half), (distance + width, half), (distance, half)]
+    )
     cos, sin = math.cos(bearing), math.sin(bearing)
-    return [tuple(edge) for edge in ring((corners @ np.array([[cos, sin], [-sin, cos]]) + (1.0, 2.0)).tolist())]
+    return [
+        tuple(edge)
+        for edge in ring((corners @ np.array([[cos, sin], [-sin, cos]]) + (1.0, 2.0)).tolist())
+    ]
 
 
 @pytest.mark.parametrize("bearing", np.linspace(-0.12, 0.12, 5))
@@ -321,7 +416,9 @@ def test_a_beam_with_a_period_repeats_its_last_reading():
         SensorSpec(0.10 * math.cos(angle), 0.10 * math.sin(angle), angle, period=period)
         for angle, period in ((-math.pi / 2, 1), (-math.pi / 2 + 0.1, 2), (-math.pi / 2 - 0.1, 5))
     )
-    simulation = Simulation(box_with((1.2, 0.4, 1.6, 0.4), (2.0, 0.4, 2.4, 0.4)), RobotSpec(beams=beams))
+    simulation = Simulation(
+        box_with((1.2, 0.4, 1.6, 0.4), (2.0, 0.4, 2.4, 0.4)), RobotSpec(beams=beams)
+    )
     noise, seeds = NoiseConfig(sensor_noise=0.02), np.random.SeedSequence(3)
     results = [simulation.reset(seeds, noise, np.array([0.8, 1.0, 0.0]))]
     results += [simulation.step([(1.0, 1.0)]) for _ in range(40)]

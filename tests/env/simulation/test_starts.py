@@ -1,4 +1,6 @@
-"""The simulation: runs of one seed with other noise are alike but for the noise, and robots start where they may."""
+"""The simulation: runs of one seed with other noise are alike but for the noise, and robots start
+where they may.
+"""
 
 import math
 
@@ -8,10 +10,17 @@ from limslam_env import LimSlamParallelEnv, NoiseConfig, RobotSpec, World, load_
 from limslam_env.geometry import FloatArray, segment
 
 ROBOT = RobotSpec()
-BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
+BOX = np.array(
+    [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
+)
 # All noise of readings: what moves the robot otherwise (slips, the axle) is not among it.
 ALL_NOISE = NoiseConfig.sharp(
-    sensor_noise=0.04, dropout=0.05, cone=0.0, wheel_variance=1e-4, encoder_resolution=0.001, wheel_mismatch=0.01
+    sensor_noise=0.04,
+    dropout=0.05,
+    cone=0.0,
+    wheel_variance=1e-4,
+    encoder_resolution=0.001,
+    wheel_mismatch=0.01,
 )
 
 
@@ -20,7 +29,9 @@ def box_world(*starts: tuple[float, float, float], extra: FloatArray | None = No
     return World("box", (4.0, 4.0), walls, starts=np.array(starts).reshape(-1, 3))
 
 
-def start_poses(world: World, robots: int, seed: int = 0, start: FloatArray | None = None) -> FloatArray:
+def start_poses(
+    world: World, robots: int, seed: int = 0, start: FloatArray | None = None
+) -> FloatArray:
     env = LimSlamParallelEnv(world, num_robots=robots)
     _, infos = env.reset(seed=seed, options={} if start is None else {"start": start})
     return np.array([infos[name]["pose"] for name in env.agents])
@@ -34,7 +45,10 @@ def assert_apart(poses: FloatArray, world: World) -> None:
 
 
 def test_noise_levels_with_one_seed_share_the_truth():
-    envs = [LimSlamParallelEnv("env1", num_robots=1, noise=n) for n in (NoiseConfig(wheel_variance=0.0), ALL_NOISE)]
+    envs = [
+        LimSlamParallelEnv("env1", num_robots=1, noise=n)
+        for n in (NoiseConfig(wheel_variance=0.0), ALL_NOISE)
+    ]
     told = [env.reset(seed=3)[0]["robot_0"] for env in envs]
     for action in np.repeat(np.random.default_rng(1).uniform(-0.5, 1.0, (20, 2)), 10, axis=0):
         steps = [env.step({"robot_0": action}) for env in envs]
@@ -43,7 +57,10 @@ def test_noise_levels_with_one_seed_share_the_truth():
         for name in ("pose", "coverage", "wall_seen", "collision"):
             np.testing.assert_array_equal(quiet[name], loud[name])
     for name in ("ranges", "wheels"):
-        assert any((quiet[name] != loud[name]).any() for quiet, loud in zip(told[::2], told[1::2], strict=True))
+        assert any(
+            (quiet[name] != loud[name]).any()
+            for quiet, loud in zip(told[::2], told[1::2], strict=True)
+        )
 
 
 def test_drawn_starts_depend_on_the_seed_and_cover_the_room_and_all_headings():
@@ -62,7 +79,8 @@ def test_drawn_starts_lie_in_the_largest_region():
 
 
 def test_no_robot_starts_behind_a_slit_that_is_hardly_wider_than_its_body():
-    # The slit of 0.235 m connects the cavity on the right with the rest, so that both are one region.
+    # The slit of 0.235 m connects the cavity on the right with the rest, so that both are one
+    # region.
     world = box_world(extra=np.array([[3.0, 0.0, 3.0, 1.88], [3.0, 2.115, 3.0, 4.0]]))
     space = world.free_space(ROBOT.radius)
     assert (space.centres(space.largest_closed_region())[:, 0] > 3.5).any()

@@ -1,4 +1,6 @@
-"""Worlds: the shipped ones are what they claim, and everything that is no usable world is refused with its reason."""
+"""Worlds: the shipped ones are what they claim, and everything that is no usable world is refused
+with its reason.
+"""
 
 import math
 import re
@@ -41,7 +43,12 @@ def world_of(tmp_path):
 
 
 def box_world(**changes) -> World:
-    fields = {"name": "box", "size": (4.0, 4.0), "walls": np.array(BOX), "starts": np.array([[1.0, 1.0, 0.0]])}
+    fields = {
+        "name": "box",
+        "size": (4.0, 4.0),
+        "walls": np.array(BOX),
+        "starts": np.array([[1.0, 1.0, 0.0]]),
+    }
     return World(**{**fields, **changes})
 
 
@@ -81,7 +88,12 @@ def test_a_good_text_becomes_the_world_it_describes(world_of):
 
 def test_only_name_size_and_walls_are_needed_and_whole_numbers_are_numbers(world_of):
     world = world_of('name = "n"\nsize = [4, 4]\nwalls = [[0, 0, 4, 0]]')
-    assert [len(rows) for rows in (world.obstacles, world.doors, world.starts, world.loop)] == [0, 0, 0, 0]
+    assert [len(rows) for rows in (world.obstacles, world.doors, world.starts, world.loop)] == [
+        0,
+        0,
+        0,
+        0,
+    ]
     assert world.starts.shape == (0, 3)
 
 
@@ -90,7 +102,14 @@ def test_worlds_are_equal_by_content_and_cannot_be_changed(world_of):
     assert world == world_of(GOOD)
     assert hash(world) == hash(world_of(GOOD))
     assert world != world_of(with_key("starts", "[[1.0, 1.0, 0.6]]"))
-    for array in (world.walls, world.obstacles[0], world.doors, world.starts, world.loop, world.edges):
+    for array in (
+        world.walls,
+        world.obstacles[0],
+        world.doors,
+        world.starts,
+        world.loop,
+        world.edges,
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[0, 0] = 9.0
 
@@ -104,12 +123,21 @@ def test_worlds_are_equal_by_content_and_cannot_be_changed(world_of):
         (with_key("size", "[4.0]"), r"size must be two lengths"),
         (with_key("size", "[4.0, -4.0]"), r"size must be two lengths"),
         (with_key("size", "[4.0, nan]"), r"size must be two lengths"),
-        (with_key("size", "[4.0, 1e6]"), r"size must be two lengths up to 500 m, not \[4, 1e\+06\]: are they in m\?"),
-        (with_key("starts", "[[1, 1, 90]]"), r"starts\[0\]: a heading is within 4 pi rad, not 90: is it in rad\?"),
+        (
+            with_key("size", "[4.0, 1e6]"),
+            r"size must be two lengths up to 500 m, not \[4, 1e\+06\]: are they in m\?",
+        ),
+        (
+            with_key("starts", "[[1, 1, 90]]"),
+            r"starts\[0\]: a heading is within 4 pi rad, not 90: is it in rad\?",
+        ),
         (with_key("size", "4.0"), r"size must be a list of numbers"),
         (with_key("walls", "[[0, 0, 4, nan]]"), r"walls\[0\] holds a number that is not finite"),
         (with_key("walls", "[[0, 0, 4]]"), r"walls must have 4 numbers a row"),
-        (with_key("walls", "[[0, 0, 4, 0], [0, 0, 4]]"), r"walls\[1\] has 3 numbers, and walls\[0\] has 4"),
+        (
+            with_key("walls", "[[0, 0, 4, 0], [0, 0, 4]]"),
+            r"walls\[1\] has 3 numbers, and walls\[0\] has 4",
+        ),
         (with_key("walls", '"none"'), r"walls must be a list of lists"),
         (with_key("walls", "[[0, 0, 4, 0], [1, 1, 1, 1]]"), r"walls\[1\] has no length"),
         (with_key("walls", "[[0, 0, 2000, 0]]"), r"reach further than"),
@@ -154,7 +182,9 @@ def test_a_start_that_cannot_be_is_refused(start, reason):
         box_world(obstacles=(block,)).check_poses(np.array([start]), RADIUS)
 
 
-@pytest.mark.parametrize("pose", [[math.nan, 1.0, 0.0], [1.0, math.inf, 0.0], [1.0, 1.0, math.nan], [1.0, 1.0]])
+@pytest.mark.parametrize(
+    "pose", [[math.nan, 1.0, 0.0], [1.0, math.inf, 0.0], [1.0, 1.0, math.nan], [1.0, 1.0]]
+)
 def test_a_pose_that_is_not_three_finite_numbers_is_refused(pose):
     with pytest.raises(ValueError, match="three finite numbers"):
         box_world().check_poses(np.array([pose]), RADIUS)
@@ -252,18 +282,24 @@ def interior_regions(world: World, radius: float) -> list[int]:
     """Cells of each region that a disc of a radius (m) cannot leave the world from."""
     space = world.free_space(radius)
     sizes = np.bincount(space.labels.ravel())
-    border = np.concatenate((space.labels[0], space.labels[-1], space.labels[:, 0], space.labels[:, -1]))
+    border = np.concatenate(
+        (space.labels[0], space.labels[-1], space.labels[:, 0], space.labels[:, -1])
+    )
     sizes[[0, *np.unique(border)]] = 0
     return [int(size) for size in sizes if size]
 
 
 def collinear_gaps(walls: FloatArray) -> set[tuple[float, float, float, float]]:
-    """Openings (x1, y1, x2, y2) between neighbouring axis-parallel walls on one line, lower end first."""
+    """Openings (x1, y1, x2, y2) between neighbouring axis-parallel walls on one line, lower end
+    first.
+    """
     gaps = set()
     for axis in (0, 1):
         across = 1 - axis
         for at in np.unique(walls[walls[:, across] == walls[:, across + 2], across]):
-            on_line = walls[(walls[:, across] == at) & (walls[:, across + 2] == at)][:, [axis, axis + 2]]
+            on_line = walls[(walls[:, across] == at) & (walls[:, across + 2] == at)][
+                :, [axis, axis + 2]
+            ]
             pieces = np.sort(on_line, axis=1)[np.argsort(on_line.min(axis=1))]
             for end, start in zip(pieces[:-1, 1], pieces[1:, 0], strict=True):
                 if start > end:
@@ -291,8 +327,12 @@ def test_doors_are_open_and_lie_between_wall_ends_on_one_line(world):
     assert {tuple(door) for door in world.doors.tolist()} <= collinear_gaps(world.walls)
     for door in world.doors:
         points, _ = segment.sample(door[None], 0.01)
-        to_jambs = np.minimum(*(np.linalg.norm(points - end, axis=1) for end in (door[:2], door[2:])))
-        np.testing.assert_allclose(segment.distances(points, world.edges).min(axis=1), to_jambs, atol=1e-9)
+        to_jambs = np.minimum(
+            *(np.linalg.norm(points - end, axis=1) for end in (door[:2], door[2:]))
+        )
+        np.testing.assert_allclose(
+            segment.distances(points, world.edges).min(axis=1), to_jambs, atol=1e-9
+        )
 
 
 def test_env2_has_perpendicular_walls_and_nothing_else():

@@ -13,7 +13,12 @@ from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.learned.learned import own_part
 from limslam_agent.policies.learned.look_ahead import FULL
-from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
+from limslam_agent.policies.learned.network import (
+    LAYERS,
+    DirectionNetwork,
+    load_network,
+    save_network,
+)
 from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfig, observe
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
@@ -27,7 +32,12 @@ VIEW = ViewConfig(directions=8, rings=4)
 def network(view=VIEW, width=6, seed=0):
     generator = np.random.default_rng(seed)
     inputs = view.rows + 2
-    shapes = {"first": (width, inputs, 5), "state": (width, 8), "second": (width, width, 3), "third": (width, width, 3)}
+    shapes = {
+        "first": (width, inputs, 5),
+        "state": (width, 8),
+        "second": (width, width, 3),
+        "third": (width, width, 3),
+    }
     weights = {}
     for layer, shape in {**shapes, "score": (1, width + inputs, 1)}.items():
         weights[f"{layer}.weight"] = generator.normal(size=shape).astype(np.float32)
@@ -36,9 +46,14 @@ def network(view=VIEW, width=6, seed=0):
 
 
 def grid_of(text, cell=0.1):
-    """A grid view of rows of text, the last one at the bottom: `.` free, `#` occupied, space unknown."""
+    """A grid view of rows of text, the last one at the bottom: `.` free, `#` occupied, space
+    unknown.
+    """
     view = OccupancyGrid(GridConfig(cell=cell)).view
-    rows = [[{".": 5, "#": -5, " ": 0}[sign] for sign in line] for line in reversed(text.strip("\n").split("\n"))]
+    rows = [
+        [{".": 5, "#": -5, " ": 0}[sign] for sign in line]
+        for line in reversed(text.strip("\n").split("\n"))
+    ]
     return replace(view, low=np.zeros(2), values=np.array(rows, dtype=np.int16))
 
 
@@ -56,7 +71,9 @@ HALL = grid_of(
 
 
 def belief(pose, grid=HALL, ranges=1.5):
-    return Belief(np.array(pose, dtype=float), np.eye(3) * 1e-6, np.full(6, ranges), np.zeros((0, 4)), grid)
+    return Belief(
+        np.array(pose, dtype=float), np.eye(3) * 1e-6, np.full(6, ranges), np.zeros((0, 4)), grid
+    )
 
 
 def test_weights_come_back_as_they_were(tmp_path):
@@ -64,7 +81,9 @@ def test_weights_come_back_as_they_were(tmp_path):
     save_network(tmp_path / "weights.npz", saved)
     loaded = load_network(tmp_path / "weights.npz")
     assert loaded.view == VIEW
-    assert set(loaded.weights) == {f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")}
+    assert set(loaded.weights) == {
+        f"{layer}.{part}" for layer in LAYERS for part in ("weight", "bias")
+    }
     told = np.random.default_rng(1).random(VIEW.size(6)).astype(np.float32)
     np.testing.assert_array_equal(loaded.scores(told), saved.scores(told))
 
@@ -76,7 +95,9 @@ class Trap:
         return exec, ("raise SystemExit('executed')",)
 
 
-@pytest.mark.parametrize("kind", ["missing", "text", "pickle", "empty", "other", "misfit", "infinite"])
+@pytest.mark.parametrize(
+    "kind", ["missing", "text", "pickle", "empty", "other", "misfit", "infinite"]
+)
 def test_what_is_no_network_is_refused_and_executes_nothing(kind, tmp_path):
     path, held = tmp_path / "weights.npz", network().weights
     view = np.array([8, 4, 0.15, 1.45])
@@ -122,7 +143,10 @@ def test_torch_trains_what_numpy_runs():
 def test_the_view_turns_with_the_robot():
     pose = np.array([1.03, 0.35, 0.0])
     size = VIEW.rings * VIEW.directions
-    looks = [observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT, VIEW) for turn in (0.0, math.pi / 2)]
+    looks = [
+        observe(HALL, pose + np.array([0, 0, turn]), np.full(6, 1.5), ROBOT, VIEW)
+        for turn in (0.0, math.pi / 2)
+    ]
     first, second = (look[: CHANNELS * size].reshape(-1, VIEW.directions) for look in looks)
     np.testing.assert_allclose(second, np.roll(first, -2, axis=1), atol=1e-5)
     # Ahead lies the frontier: every ring gains there, until the unknown begins.
@@ -134,7 +158,9 @@ def test_the_view_turns_with_the_robot():
 def ahead_of(grid, pose, view=VIEW):
     """What driving in each direction would show (AHEAD, directions)."""
     told = observe(grid, np.array(pose, dtype=float), np.full(6, 1.5), ROBOT, view)
-    return told[CHANNELS * view.rings * view.directions : view.rows * view.directions].reshape(AHEAD, -1)
+    return told[CHANNELS * view.rings * view.directions : view.rows * view.directions].reshape(
+        AHEAD, -1
+    )
 
 
 def test_driving_ahead_shows_what_the_beams_at_the_sides_will_see():
@@ -171,8 +197,13 @@ def test_it_drives_where_the_network_says(turn):
     frontiers = FrontierPolicy(ROBOT, PolicyConfig(speed=ROBOT.max_wheel_speed, min_frontier=8))
     hall, turned = grid_of("\n".join(["#" * 24, *["#" + "." * 23] * 10, "#" * 24])), 0.0
     for step in range(80):
-        told = belief(pose, grid=replace(hall, values=np.where(np.arange(24) < 12 + step // 8, hall.values, 0)))
-        np.testing.assert_array_equal(policy.act(told), frontiers.act(told), "the frontier explorer begins")
+        told = belief(
+            pose,
+            grid=replace(hall, values=np.where(np.arange(24) < 12 + step // 8, hall.values, 0)),
+        )
+        np.testing.assert_array_equal(
+            policy.act(told), frontiers.act(told), "the frontier explorer begins"
+        )
     for _ in range(5):
         left, right = 0.03 * policy.act(belief(pose, grid=hall, ranges=1.5))
         turned += (right - left) / 0.16
@@ -185,10 +216,14 @@ def test_it_drives_where_the_network_says(turn):
 @pytest.mark.parametrize("policy", ["learned"])
 def test_it_explores_a_room(policy):
     room = World(
-        "room", (4.0, 3.0), [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]],
+        "room",
+        (4.0, 3.0),
+        [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]],
         starts=[[1.0, 0.8, 0.4]],
-    )  # fmt: skip
-    episode = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=60.0, preset="odometry"))
+    )
+    episode = run_episode(
+        RunConfig(room, noise=0.02, policy=policy, max_time=60.0, preset="odometry")
+    )
     assert episode.coverage[-1] > 0.95
     assert episode.is_finished
     again = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=5.0, preset="odometry"))
@@ -203,5 +238,7 @@ def test_running_it_loads_neither_torch_nor_numba():
         "LearnedPolicy(RobotSpec(), preset('consistent').policy)\n"
         "print({'torch', 'numba', 'pymunk'} & set(sys.modules))"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert result.stdout.strip() == "set()"

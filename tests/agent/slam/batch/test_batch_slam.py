@@ -1,4 +1,6 @@
-"""BatchSlam and SlamVectorObservation: equal to the single filter, whatever the threads, and what happens when full."""
+"""BatchSlam and SlamVectorObservation: equal to the single filter, whatever the threads, and what
+happens when full.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -42,17 +44,29 @@ def config_of(noise: float) -> AgentConfig:
 
 def without_sensor_errors(config: AgentConfig) -> AgentConfig:
     assert isinstance(config.estimator, ConsistentConfig)
-    return replace(config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=False)))
+    return replace(
+        config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=False))
+    )
 
 
 def world_env(name: str, noise: float, tick: float = 0.0, **arguments: Any) -> gym.Env[Any, Any]:
     which = "LimSlam-Random-v0" if name == "random" else "LimSlam-World-v0"
     chosen = {} if name == "random" else {"world": name}
-    return gym.make(which, noise=NoiseConfig(noise, encoder_resolution=tick), coverage_goal=None, **chosen, **arguments)
+    return gym.make(
+        which,
+        noise=NoiseConfig(noise, encoder_resolution=tick),
+        coverage_goal=None,
+        **chosen,
+        **arguments,
+    )
 
 
-def explored(noise: float, steps: int, seed: int = 7, tick: float = 0.0) -> tuple[float, BatchSlam, list[LimSlamAgent]]:
-    """The largest difference of poses between five robots in one batch and five agents, which drive."""
+def explored(
+    noise: float, steps: int, seed: int = 7, tick: float = 0.0
+) -> tuple[float, BatchSlam, list[LimSlamAgent]]:
+    """The largest difference of poses between five robots in one batch and five agents, which
+    drive.
+    """
     envs = [world_env(name, noise, tick) for name in WORLDS]
     config, seen, starts = config_of(noise), [], []
     for env in envs:
@@ -94,7 +108,12 @@ def test_it_is_the_single_filter_in_every_world(noise: float, tick: float) -> No
 def test_contact_is_noticed_alike() -> None:
     env, config = world_env("env3", 0.02), config_of(0.02)
     observation, info = env.reset(seed=3)
-    slam, batch, in_contact, slipped = LineSlam(ROBOT, config, info["pose"]), BatchSlam(ROBOT, config, 1), 0, 0.0
+    slam, batch, in_contact, slipped = (
+        LineSlam(ROBOT, config, info["pose"]),
+        BatchSlam(ROBOT, config, 1),
+        0,
+        0.0,
+    )
     batch.reset(info["pose"][None])
     for number in range(250):
         before = slam.covariance
@@ -121,7 +140,10 @@ def test_it_is_the_single_filter_over_long_drives(noise: float) -> None:
 
 
 def followed(
-    observations: list[Observation], config: AgentConfig, robot: RobotSpec = ROBOT, start: FloatArray = START
+    observations: list[Observation],
+    config: AgentConfig,
+    robot: RobotSpec = ROBOT,
+    start: FloatArray = START,
 ) -> tuple[LineSlam, BatchSlam]:
     """Both after a drive during which they were equal."""
     slam, batch = LineSlam(robot, config, start), BatchSlam(robot, config, 1, num_threads=1, size=0)
@@ -135,16 +157,19 @@ def followed(
 
 
 def test_loops_are_closed_alike() -> None:
-    # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
+    # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows
+    # it again.
     log = laps_of_square(0.0, 10, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
-    # The curvature of so large errors looks like a constant error, for which a single robot would be calibrated.
+    # The curvature of so large errors looks like a constant error, for which a single robot would
+    # be calibrated.
     config = self_calibrating(preset("consistent", NominalNoise(0.0, 2e-4)), "never")
     slam, batch = followed(log.observations, config, ROBOT, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
 
 
 def test_cones_are_modelled_alike() -> None:
-    # The readings are those of rays. A single robot would find that out, or take it for an error of the odometry.
+    # The readings are those of rays. A single robot would find that out, or take it for an error of
+    # the odometry.
     stated = without_sensor_errors(self_calibrating(config_of(0.02), "never"))
     observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP), noise=0.02)
     slam, batch = followed(observations, stated, replace(ROBOT, cone=0.26))
@@ -177,7 +202,9 @@ def test_threads_change_no_bit() -> None:
         batch = batch_of(9, num_threads=threads)
         for step in range(200):
             seen = [DRIVE[rows[step]] for rows in shifted]
-            beliefs = batch.step([each["ranges"] for each in seen], [each["wheels"] for each in seen])
+            beliefs = batch.step(
+                [each["ranges"] for each in seen], [each["wheels"] for each in seen]
+            )
         told.append((beliefs.pose.tobytes(), beliefs.covariance.tobytes(), beliefs.grid.tobytes()))
     assert told[0] == told[1] == told[2]
 
@@ -223,13 +250,25 @@ def test_a_small_grid_goes_along() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda: BatchSlam(ROBOT, preset("paper"), 2), "a batch needs the preset consistent, not 'paper'"),
+        (
+            lambda: BatchSlam(ROBOT, preset("paper"), 2),
+            "a batch needs the preset consistent, not 'paper'",
+        ),
         (lambda: BatchSlam(ROBOT, CALIBRATING, 2), "does not calibrate odometry by itself"),
         (lambda: BatchSlam(ROBOT, num_threads=0), "num_threads must be 1 or more, not 0"),
         (lambda: batch_of(2).reset(np.zeros((3, 3))), r"start poses \(2, 3\), not \(3, 3\)"),
-        (lambda: batch_of(2).step(np.ones((2, 5)), np.zeros((2, 2))), r"must be \(2, 6\) and \(2, 2\)"),
-        (lambda: batch_of(2).step(np.ones((2, 6)), np.array([[0.0, 0.0], [np.inf, 0.0]])), "wheel travel of robot 1"),
-        (lambda: batch_of(2).step(np.ones((2, 6)), np.zeros((2, 2)), [True]), "a mask must be 2 booleans"),
+        (
+            lambda: batch_of(2).step(np.ones((2, 5)), np.zeros((2, 2))),
+            r"must be \(2, 6\) and \(2, 2\)",
+        ),
+        (
+            lambda: batch_of(2).step(np.ones((2, 6)), np.array([[0.0, 0.0], [np.inf, 0.0]])),
+            "wheel travel of robot 1",
+        ),
+        (
+            lambda: batch_of(2).step(np.ones((2, 6)), np.zeros((2, 2)), [True]),
+            "a mask must be 2 booleans",
+        ),
     ],
 )
 def test_bad_input_is_refused_in_one_line(change: Callable[[], Any], message: str) -> None:
@@ -247,7 +286,9 @@ def vector(mode: AutoresetMode, steps: int = 15, number: int = 3) -> SyncVectorE
 
 def singles(steps: int = 15, number: int = 3) -> list[SlamObservation]:
     return [
-        SlamObservation(world_env("env1", 0.02, max_episode_steps=steps + 4 * place), config_of(0.02))
+        SlamObservation(
+            world_env("env1", 0.02, max_episode_steps=steps + 4 * place), config_of(0.02)
+        )
         for place in range(number)
     ]
 
@@ -278,7 +319,9 @@ def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None
                 ended[row] = over or stopped
                 if mode == AutoresetMode.SAME_STEP and ended[row]:
                     for key, value in seen.items():
-                        np.testing.assert_allclose(info["final_obs"][row][key], value, rtol=0.0, atol=1e-5)
+                        np.testing.assert_allclose(
+                            info["final_obs"][row][key], value, rtol=0.0, atol=1e-5
+                        )
                     seen = one.reset()[0]
             same(told, seen, row)
     env.close()

@@ -1,4 +1,6 @@
-"""The filter with clones: equal to the dense filter and to least squares, honest, and sound after many steps."""
+"""The filter with clones: equal to the dense filter and to least squares, honest, and sound after
+many steps.
+"""
 
 import math
 from collections.abc import Callable
@@ -41,11 +43,14 @@ def readings_of(clones: list[int], beams: list[int], ranges: FloatArray | None =
     """Readings by some of the robot's beams, each from its clone."""
     sources = np.column_stack((clones, beams))
     distances = np.zeros(len(beams)) if ranges is None else ranges
-    return Readings(np.array(clones), ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], distances, sources)
+    return Readings(
+        np.array(clones), ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], distances, sources
+    )
 
 
 def driven(seed: int, clones: int = 8, pose: FloatArray | None = None) -> tuple[CloneEKF, Readings]:
-    """A filter after a short drive, no two of its poses equal, and both left beams at each clone, still without ranges.
+    """A filter after a short drive, no two of its poses equal, and both left beams at each clone,
+    still without ranges.
 
     The robot has moved on since the last clone, so the covariance has an inverse.
     """
@@ -58,7 +63,9 @@ def driven(seed: int, clones: int = 8, pose: FloatArray | None = None) -> tuple[
     return ekf, readings_of([number for number in numbers for _ in LEFT], LEFT * clones)
 
 
-def with_line(ekf: CloneEKF, line: FloatArray, anchor: FloatArray, seed: int, scale: float = 1e-4) -> int:
+def with_line(
+    ekf: CloneEKF, line: FloatArray, anchor: FloatArray, seed: int, scale: float = 1e-4
+) -> int:
     """Give the filter a line (d, theta) about an anchor, correlated with all else."""
     index = ekf.add_line(float(line[1]), anchor)
     ekf.x[3 + 2 * index] = line[0]
@@ -69,35 +76,47 @@ def with_line(ekf: CloneEKF, line: FloatArray, anchor: FloatArray, seed: int, sc
 
 
 def linear(seed: int) -> tuple[CloneEKF, Readings, int]:
-    """A belief with errors so small that curvature does not count, and readings to be had of its only line."""
+    """A belief with errors so small that curvature does not count, and readings to be had of its
+    only line.
+    """
     ekf, readings = driven(seed)
     index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), seed, 1e-4)
     ekf.P[:] *= 0.1
     return ekf, readings, index
 
 
-# The textbook's dense filter: ranges worked out from the whole state by other means, derivatives by complex steps.
+# The textbook's dense filter: ranges worked out from the whole state by other means, derivatives by
+# complex steps.
 
 
 def ranges_from(state: FloatArray, ekf: CloneEKF, readings: Readings, index: int) -> FloatArray:
-    """Where rays cut a line, by Cramer's rule on both points' coordinates; works for complex numbers too."""
+    """Where rays cut a line, by Cramer's rule on both points' coordinates; works for complex
+    numbers too.
+    """
     first = 3 * (ekf.arrays.counts[LINES_FROM] // 3) + 2 * index
     offset, theta = state[first], state[first + 1]
     anchor = ekf.anchors[index]
     results = []
-    for clone, (x, y), angle in zip(readings.clones, readings.origins, readings.angles, strict=True):
+    for clone, (x, y), angle in zip(
+        readings.clones, readings.origins, readings.angles, strict=True
+    ):
         begin = (
             int(ekf.arrays.counts[LINES_FROM])
             + 2 * ekf.num_lines
             + 3 * int(places_of(ekf.arrays, np.array([clone]))[0])
         )
         px, py, heading = state[begin : begin + 3]
-        start = (px + x * np.cos(heading) - y * np.sin(heading), py + x * np.sin(heading) + y * np.cos(heading))
+        start = (
+            px + x * np.cos(heading) - y * np.sin(heading),
+            py + x * np.sin(heading) + y * np.cos(heading),
+        )
         ray = (np.cos(heading + angle), np.sin(heading + angle))
         foot = (anchor[0] + offset * np.cos(theta), anchor[1] + offset * np.sin(theta))
         along = (-np.sin(theta), np.cos(theta))
         gap = (foot[0] - start[0], foot[1] - start[1])
-        results.append((gap[0] * along[1] - gap[1] * along[0]) / (ray[0] * along[1] - ray[1] * along[0]))
+        results.append(
+            (gap[0] * along[1] - gap[1] * along[0]) / (ray[0] * along[1] - ray[1] * along[0])
+        )
     return np.array(results)
 
 
@@ -109,7 +128,11 @@ def derivative(function: Callable[[FloatArray], FloatArray], state: FloatArray) 
 
 
 def dense_update(
-    state: FloatArray, covariance: FloatArray, jacobian: FloatArray, difference: FloatArray, noise: FloatArray
+    state: FloatArray,
+    covariance: FloatArray,
+    jacobian: FloatArray,
+    difference: FloatArray,
+    noise: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Kalman's equations, the covariance in Joseph's form."""
     gain = covariance @ jacobian.T @ np.linalg.inv(jacobian @ covariance @ jacobian.T + noise)
@@ -118,7 +141,9 @@ def dense_update(
 
 
 def world_moved(state: FloatArray, ekf: CloneEKF, motion: FloatArray) -> FloatArray:
-    """The state after the whole world, but for the anchors, has moved (m, m) and turned (rad) about the first robot."""
+    """The state after the whole world, but for the anchors, has moved (m, m) and turned (rad) about
+    the first robot.
+    """
     middle, anchors, moved = state[:2], ekf.anchors, state.astype(motion.dtype)
     cos, sin = np.cos(motion[2]), np.sin(motion[2])
 
@@ -126,7 +151,9 @@ def world_moved(state: FloatArray, ekf: CloneEKF, motion: FloatArray) -> FloatAr
         x, y = x - middle[0], y - middle[1]
         return middle[0] + motion[0] + cos * x - sin * y, middle[1] + motion[1] + sin * x + cos * y
 
-    of_lines = slice(int(ekf.arrays.counts[LINES_FROM]), int(ekf.arrays.counts[LINES_FROM]) + 2 * ekf.num_lines)
+    of_lines = slice(
+        int(ekf.arrays.counts[LINES_FROM]), int(ekf.arrays.counts[LINES_FROM]) + 2 * ekf.num_lines
+    )
     for part in (slice(0, of_lines.start), slice(of_lines.stop, None)):
         for pose in moved[part].reshape(-1, 3):
             pose[:2] = point(pose[0], pose[1])
@@ -150,7 +177,9 @@ def carrying(before: FloatArray, after: FloatArray, ekf: CloneEKF) -> FloatArray
     return change
 
 
-def carried(covariance: NDArray[np.floating[Any]], before: FloatArray, after: FloatArray, ekf: CloneEKF) -> FloatArray:
+def carried(
+    covariance: NDArray[np.floating[Any]], before: FloatArray, after: FloatArray, ekf: CloneEKF
+) -> FloatArray:
     """The covariance of such errors."""
     change = carrying(before, after, ekf)
     return np.asarray(change @ covariance @ change.T)
@@ -167,7 +196,9 @@ def measured(ekf: CloneEKF, readings: Readings, index: int, seed: int) -> Readin
 def assert_scaled(found: FloatArray, wanted: NDArray[np.floating[Any]], tolerance: float) -> None:
     """Two covariances are equal in units of their standard deviations."""
     scale = np.sqrt(np.diag(wanted))
-    np.testing.assert_allclose(found / np.outer(scale, scale), wanted / np.outer(scale, scale), atol=tolerance)
+    np.testing.assert_allclose(
+        found / np.outer(scale, scale), wanted / np.outer(scale, scale), atol=tolerance
+    )
 
 
 # Clones.
@@ -195,7 +226,9 @@ def test_a_clone_and_the_reported_pose_have_the_jitter_of_the_encoders() -> None
     ekf.clone()
     by_jitter = se2.compose_jacobians(ekf.pose, np.zeros(3))[1]
     np.testing.assert_allclose(ekf.P[-3:, :-3], before[:3], atol=1e-15)
-    np.testing.assert_allclose(ekf.P[-3:, -3:] - before[:3, :3], by_jitter @ jitter @ by_jitter.T, atol=1e-15)
+    np.testing.assert_allclose(
+        ekf.P[-3:, -3:] - before[:3, :3], by_jitter @ jitter @ by_jitter.T, atol=1e-15
+    )
     np.testing.assert_array_equal(ekf.P[:-3, :-3], before)
     np.testing.assert_allclose(ekf.joint_pose_covariance, ekf.P[-3:, -3:], atol=1e-15)
 
@@ -233,14 +266,17 @@ def test_the_iterated_update_reaches_the_optimum_of_belief_and_readings_together
     index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), seed, 3e-3)
     seen = measured(ekf, readings, index, seed)
     prior, covariance = ekf.x.copy(), ekf.P.copy()
-    # Gauss and Newton in information form; errors of the belief are kept beside the robot's own while the state moves.
+    # Gauss and Newton in information form; errors of the belief are kept beside the robot's own
+    # while the state moves.
     optimum = prior.copy()
     for _ in range(30):
         jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), optimum)
         known = np.linalg.inv(carried(covariance, prior, optimum, ekf))
         information = known + jacobian.T @ jacobian / STD**2
         off = seen.ranges - ranges_from(optimum, ekf, seen, index)
-        optimum = optimum + np.linalg.solve(information, jacobian.T @ off / STD**2 - known @ (optimum - prior))
+        optimum = optimum + np.linalg.solve(
+            information, jacobian.T @ off / STD**2 - known @ (optimum - prior)
+        )
     observe(ekf, seen, index, STD, 30, 0.0)
     np.testing.assert_allclose((ekf.x - optimum) / np.sqrt(np.diag(ekf.P)), 0.0, atol=1e-4)
     # And its covariance is that at the optimum.
@@ -254,21 +290,30 @@ def known_of_the_world(ekf: CloneEKF) -> FloatArray:
 
 
 @pytest.mark.parametrize(("heading", "iterations"), [(0.0, 1), (-3.0, 4)])
-def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(heading: float, iterations: int) -> None:
-    # No range changes when all of it is shifted and turned, however far corrections have moved the Jacobians' places.
+def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(
+    heading: float, iterations: int
+) -> None:
+    # No range changes when all of it is shifted and turned, however far corrections have moved the
+    # Jacobians' places.
     start = np.array([0.4, -0.2, heading])
     ekf, readings = driven(4, pose=start)
     ekf.P[:] *= 10.0
     for seed, bearing in enumerate((1.65, 1.5)):
         with_line(
-            ekf, np.array([0.03, heading + bearing]), se2.compose(start, np.array([0.3, 0.7, 0.0]))[:2], seed, 1e-2
+            ekf,
+            np.array([0.03, heading + bearing]),
+            se2.compose(start, np.array([0.3, 0.7, 0.0]))[:2],
+            seed,
+            1e-2,
         )
     known = known_of_the_world(ekf)
     moved = ekf.x.copy()
     for seed in range(6):
         observe(ekf, measured(ekf, readings, seed % 2, seed), seed % 2, STD, iterations, 0.0)
     assert np.abs(ekf.x - moved).max() > 0.05
-    np.testing.assert_allclose(known_of_the_world(ekf), known, rtol=1e-6, atol=1e-6 * np.abs(known).max())
+    np.testing.assert_allclose(
+        known_of_the_world(ekf), known, rtol=1e-6, atol=1e-6 * np.abs(known).max()
+    )
 
 
 # Whether readings are of a line.
@@ -276,7 +321,9 @@ def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(headin
 
 def test_the_disagreement_is_distributed_as_chi_square_under_the_truth() -> None:
     ekf, readings, index = linear(0)
-    values = [compared(ekf, measured(ekf, readings, index, seed), index, STD) for seed in range(400)]
+    values = [
+        compared(ekf, measured(ekf, readings, index, seed), index, STD) for seed in range(400)
+    ]
     assert np.mean(values) == pytest.approx(2.0, abs=0.3)
     assert kstest(values, chi2(2).cdf).pvalue > 0.01
 
@@ -286,9 +333,12 @@ def test_the_disagreement_is_distributed_as_chi_square_under_the_truth() -> None
 
 @settings(deadline=None, max_examples=200)
 @given(
-    st.one_of(st.floats(-3.0, 3.0), st.sampled_from([-2e-3, 2e-3])), st.floats(-10.0, 10.0), places, places,
+    st.one_of(st.floats(-3.0, 3.0), st.sampled_from([-2e-3, 2e-3])),
+    st.floats(-10.0, 10.0),
+    places,
+    places,
     st.integers(0, 1000),
-)  # fmt: skip
+)
 def test_lines_in_the_world_and_their_covariance_follow_from_the_anchored_ones(
     offset: float, theta: float, x: float, y: float, seed: int
 ) -> None:
@@ -318,16 +368,23 @@ def test_lines_in_the_world_and_their_covariance_follow_from_the_anchored_ones(
     ]
     jacobian = np.column_stack(columns) / (2.0 * step)
     part = ekf.P[5:7, 5:7]
-    np.testing.assert_allclose(ekf.line_covariance(index), jacobian @ part @ jacobian.T, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        ekf.line_covariance(index), jacobian @ part @ jacobian.T, rtol=1e-6, atol=1e-9
+    )
 
 
 # Two lines that are one.
 
 
 def seen_twice(theta: float, turned: bool, seed: int, scale: float = 1e-3) -> CloneEKF:
-    """A wall that the filter holds twice, about two anchors 1.3 m apart along it, and a third line."""
+    """A wall that the filter holds twice, about two anchors 1.3 m apart along it, and a third
+    line.
+    """
     ekf, _ = driven(seed, clones=2)
-    tangent, unit = np.array([-math.sin(theta), math.cos(theta)]), np.array([math.cos(theta), math.sin(theta)])
+    tangent, unit = (
+        np.array([-math.sin(theta), math.cos(theta)]),
+        np.array([math.cos(theta), math.sin(theta)]),
+    )
     anchor, other = np.array([1.0, -0.5]), np.array([1.0, -0.5]) + 1.3 * tangent + 0.04 * unit
     second = np.array([0.03, theta + 0.02 - math.pi]) if turned else np.array([-0.03, theta + 0.02])
     with_line(ekf, np.array([0.02, theta]), anchor, seed)
@@ -342,12 +399,18 @@ def apart(state: FloatArray, ekf: CloneEKF, older: int, younger: int, turned: bo
     between = ekf.anchors[older] - ekf.anchors[younger]
     moved = d + between[0] * np.cos(theta) + between[1] * np.sin(theta)
     angle = theta - phi
-    angle -= 2.0 * math.pi * np.round((np.real(angle) + (math.pi if turned else 0.0)) / (2.0 * math.pi))
+    angle -= (
+        2.0 * math.pi * np.round((np.real(angle) + (math.pi if turned else 0.0)) / (2.0 * math.pi))
+    )
     return np.array([-moved - e, angle + math.pi]) if turned else np.array([moved - e, angle])
 
 
-@pytest.mark.parametrize(("theta", "turned", "older", "younger"), [(0.3, False, 0, 2), (3.1, True, 2, 0)])
-def test_the_difference_of_two_lines_and_its_covariance(theta: float, turned: bool, older: int, younger: int) -> None:
+@pytest.mark.parametrize(
+    ("theta", "turned", "older", "younger"), [(0.3, False, 0, 2), (3.1, True, 2, 0)]
+)
+def test_the_difference_of_two_lines_and_its_covariance(
+    theta: float, turned: bool, older: int, younger: int
+) -> None:
     ekf = seen_twice(theta, turned, 1)
     off, covariance = difference(ekf.arrays, older, younger)
     np.testing.assert_allclose(off, apart(ekf.x, ekf, older, younger, turned), atol=1e-12)
@@ -356,7 +419,9 @@ def test_the_difference_of_two_lines_and_its_covariance(theta: float, turned: bo
     assert np.abs(off).max() < 0.15
 
 
-@pytest.mark.parametrize(("theta", "turned", "older", "younger"), [(0.3, False, 0, 2), (3.1, True, 2, 0)])
+@pytest.mark.parametrize(
+    ("theta", "turned", "older", "younger"), [(0.3, False, 0, 2), (3.1, True, 2, 0)]
+)
 def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     theta: float, turned: bool, older: int, younger: int
 ) -> None:
@@ -383,7 +448,9 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
 
 
 @pytest.mark.parametrize("turned", [False, True])
-def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_turned(turned: bool) -> None:
+def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_turned(
+    turned: bool,
+) -> None:
     gained = []
     for iterations in (1, 3):
         ekf = seen_twice(0.3, turned, 2)
@@ -400,7 +467,9 @@ ROOM = np.array([[1.5, 0.0], [1.2, 0.5 * math.pi], [1.5, math.pi], [1.2, -0.5 * 
 
 
 class _Wanderer:
-    """A robot that goes round in a room of four walls, and a filter to which random things are done."""
+    """A robot that goes round in a room of four walls, and a filter to which random things are
+    done.
+    """
 
     def __init__(self, seed: int) -> None:
         self.generator = np.random.default_rng(seed)
@@ -425,7 +494,9 @@ class _Wanderer:
     def predict(self) -> None:
         increment = np.array([0.03, 0.0, 0.05])
         self.truth = se2.compose(self.truth, increment)
-        self.ekf.predict(Motion(increment + self.generator.normal(size=3) * np.sqrt(np.diag(MOTION)), MOTION))
+        self.ekf.predict(
+            Motion(increment + self.generator.normal(size=3) * np.sqrt(np.diag(MOTION)), MOTION)
+        )
 
     def clone(self) -> None:
         self.clones[self.ekf.clone()] = self.truth
@@ -443,13 +514,17 @@ class _Wanderer:
         wall = int(self.generator.integers(4))
         readings = self._readings(wall)
         # As the estimator does it: not before they say which way it runs, to three degrees.
-        points = hit_points(np.array([self.clones[number] for number in readings.clones]).reshape(-1, 3), readings)
+        points = hit_points(
+            np.array([self.clones[number] for number in readings.clones]).reshape(-1, 3), readings
+        )
         along = points @ line_geometry.direction(ROOM[wall])
         if len(along) and math.radians(3.0) * np.linalg.norm(along - along.mean()) > STD:
             self.walls.append(wall)
             self.born += 1
             theta = float(ROOM[wall, 1] + self.generator.normal(0.0, 0.05))
-            anchor = ROOM[wall, 0] * line_geometry.normal(ROOM[wall]) + self.generator.normal(0.0, 0.1)
+            anchor = ROOM[wall, 0] * line_geometry.normal(ROOM[wall]) + self.generator.normal(
+                0.0, 0.1
+            )
             self._read(self.ekf.add_line(theta, anchor), iterations=4)
 
     def merge(self) -> None:
@@ -457,8 +532,12 @@ class _Wanderer:
         younger = twice[int(self.generator.integers(len(twice)))]
         older = self.walls.index(self.walls[younger])
         off, covariance = difference(self.ekf.arrays, older, younger)
-        # As the estimator does it: not before their directions are known to a few degrees, and they agree.
-        if covariance[1, 1] < math.radians(4.0) ** 2 and off @ np.linalg.solve(covariance, off) < 16.0:
+        # As the estimator does it: not before their directions are known to a few degrees, and they
+        # agree.
+        if (
+            covariance[1, 1] < math.radians(4.0) ** 2
+            and off @ np.linalg.solve(covariance, off) < 16.0
+        ):
             merge(self.ekf.arrays, older, younger, 1)
             del self.walls[younger]
             self.merged += 1
@@ -478,11 +557,15 @@ class _Wanderer:
                 cosine = math.cos(angle - ROOM[wall, 1])
                 px = x + ox * math.cos(heading) - oy * math.sin(heading)
                 py = y + ox * math.sin(heading) + oy * math.cos(heading)
-                free = (ROOM[wall, 0] - px * math.cos(ROOM[wall, 1]) - py * math.sin(ROOM[wall, 1])) / (cosine or 1.0)
+                free = (
+                    ROOM[wall, 0] - px * math.cos(ROOM[wall, 1]) - py * math.sin(ROOM[wall, 1])
+                ) / (cosine or 1.0)
                 if cosine > 0.4 and 0.05 < free < 2.5:
                     found.append((number, beam, free + float(self.generator.normal(0.0, STD))))
         noisy = np.array([free for _, _, free in found])
-        return readings_of([number for number, _, _ in found], [beam for _, beam, _ in found], noisy)
+        return readings_of(
+            [number for number, _, _ in found], [beam for _, beam, _ in found], noisy
+        )
 
 
 @pytest.mark.parametrize("count", [5_000, pytest.param(100_000, marks=pytest.mark.slow)])

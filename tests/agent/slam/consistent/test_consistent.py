@@ -1,4 +1,6 @@
-"""The consistent estimator as a whole: walls, doors, corners, loops, teams, faults; exact geometry where it can be."""
+"""The consistent estimator as a whole: walls, doors, corners, loops, teams, faults; exact geometry
+where it can be.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -59,7 +61,9 @@ def check_covariance(slam: LineSlam) -> None:
 
 
 def check_pose(slam: LineSlam, true: FloatArray, metres: float, degrees: float) -> None:
-    """The pose is right so far, and no more wrong than it is believed to be (chi-square, 99.9 %)."""
+    """The pose is right so far, and no more wrong than it is believed to be (chi-square, 99.9
+    %).
+    """
     off = slam.pose - true
     off[2] = se2.wrap_angle(float(off[2]))
     assert math.hypot(*off[:2]) < metres
@@ -84,7 +88,8 @@ def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, fl
     for mark, wall in zip(marks, walls, strict=True):
         assert mark.r >= 0.0
         assert np.abs(off_line(mark, wall)).max() < 2e-3
-        # The beam sideways began at x = 0; the one at 45 degrees ends at 3.4 m, those at 15 no farther than 4.55 m.
+        # The beam sideways began at x = 0; the one at 45 degrees ends at 3.4 m, those at 15 no
+        # farther than 4.55 m.
         reach = local(mark.ends, start)[:, 0]
         assert reach.min() == pytest.approx(0.0, abs=0.05)
         assert 3.35 < reach.max() < 4.55
@@ -97,7 +102,9 @@ def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, fl
 @pytest.mark.parametrize(("place", "noise"), [(STARTS[1], 0.02), (STARTS[2], 0.0)])
 def test_a_door_stays_open(place: tuple[float, float, float], noise: float) -> None:
     start = np.array(place)
-    walls = placed(np.array([[-3.0, 0.4, 1.2, 0.4], [2.0, 0.4, 8.0, 0.4], [-3.0, -0.4, 8.0, -0.4]]), start)
+    walls = placed(
+        np.array([[-3.0, 0.4, 1.2, 0.4], [2.0, 0.4, 8.0, 0.4], [-3.0, -0.4, 8.0, -0.4]]), start
+    )
     observations, _ = drive(walls, start, straight(4.0), noise=noise)
     slam, _ = slam_after(observations, preset("consistent", NominalNoise(noise)), start)
     ends = [local(segment.reshape(2, 2), start) for segment in slam.segments]
@@ -136,7 +143,9 @@ def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
     wheels = along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.0), (-0.3, 1.0)])
     observations, poses = drive(walls, start, wheels, noise=0.02)
     slam, _ = slam_after(observations, NOISY, start)
-    marks = [mark for mark in slam.landmarks if np.abs(local(mark.ends, start)[:, 1] - 0.5).max() < 0.1]
+    marks = [
+        mark for mark in slam.landmarks if np.abs(local(mark.ends, start)[:, 1] - 0.5).max() < 0.1
+    ]
     assert len(marks) == 1
     assert np.ptp(local(marks[0].ends, start)[:, 0]) == pytest.approx(3.0, abs=0.15)
     assert len(slam.landmarks) == 5
@@ -165,7 +174,9 @@ def test_a_corner_gives_two_walls_at_its_angle(degrees: float, yaw: float) -> No
 def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None:
     around = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
     middle = np.array([2.0, 0.4 + radius])
-    circle = segment_geometry.polygon_edges(middle + radius * np.column_stack((np.cos(around), np.sin(around))))
+    circle = segment_geometry.polygon_edges(
+        middle + radius * np.column_stack((np.cos(around), np.sin(around)))
+    )
     walls = np.vstack((circle, CORRIDOR[1:]))
     observations, poses = drive(walls, np.zeros(3), straight(4.0), noise=noise)
     slam, _ = slam_after(observations, preset("consistent", NominalNoise(noise)), np.zeros(3))
@@ -181,7 +192,9 @@ def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None
 def loop_of(
     noise: float, seed: int, wheel_variance: float = 2e-5, laps: float = 1.5, start_x: float = 1.0
 ) -> tuple[LapLog, LineSlam, list[AssociationRecord]]:
-    log = laps_of_square(noise, seed, laps, ROBOT, wheel_variance=wheel_variance, start=(start_x, 1.0, 0.0))
+    log = laps_of_square(
+        noise, seed, laps, ROBOT, wheel_variance=wheel_variance, start=(start_x, 1.0, 0.0)
+    )
     config = preset("consistent", NominalNoise(noise, wheel_variance))
     slam, records = slam_after(log.observations, config, log.poses[0])
     return log, slam, records
@@ -190,7 +203,9 @@ def loop_of(
 def events_of(log: LapLog, records: list[AssociationRecord]) -> list[AssociationEvent]:
     return [
         AssociationEvent(
-            record.landmark, record.is_new, tuple(log.wall_seen[step, beam] for step, beam in record.readings.tolist())
+            record.landmark,
+            record.is_new,
+            tuple(log.wall_seen[step, beam] for step, beam in record.readings.tolist()),
         )
         for record in records
     ]
@@ -207,7 +222,8 @@ def test_round_the_square_every_wall_is_found_again(noise: float, seed: int) -> 
 
 
 def test_loops_are_closed_rightly_and_the_younger_landmark_is_gone() -> None:
-    # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
+    # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows
+    # it again.
     closures = 0
     for seed in (1, 4, 8):
         log, slam, records = loop_of(0.0, seed, 4e-4, laps=2.0, start_x=3.5)
@@ -221,7 +237,9 @@ def test_loops_are_closed_rightly_and_the_younger_landmark_is_gone() -> None:
         assert new == list(range(len(new)))
         assert set(numbers) | {closure.younger for closure in slam.closures} == set(new)
         for closure in slam.closures:
-            last = max(int(r.readings[:, 0].max()) for r in records if r.landmark == closure.younger)
+            last = max(
+                int(r.readings[:, 0].max()) for r in records if r.landmark == closure.younger
+            )
             assert last <= closure.step
         pairs = [(closure.older, closure.younger) for closure in slam.closures]
         closed = closure_metrics(events_of(log, records), pairs, len(SQUARE.edges))
@@ -247,9 +265,13 @@ def test_the_same_observations_give_the_same_bits() -> None:
 
 
 def test_beams_on_teammates_make_no_wall() -> None:
-    env = LimSlamParallelEnv("env2", num_robots=2, sensor_noise=0.02, coverage_goal=None, max_cycles=None)
+    env = LimSlamParallelEnv(
+        "env2", num_robots=2, sensor_noise=0.02, coverage_goal=None, max_cycles=None
+    )
     # Face to face.
-    told, infos = env.reset(seed=8, options={"start": [(0.8, 4.5, -0.5 * math.pi), (0.8, 3.5, 0.5 * math.pi)]})
+    told, infos = env.reset(
+        seed=8, options={"start": [(0.8, 4.5, -0.5 * math.pi), (0.8, 3.5, 0.5 * math.pi)]}
+    )
     team = LimSlamTeam(ROBOT, NOISY, 2)
     team.reset(np.array([infos[name]["pose"] for name in team.names]))
     records: list[AssociationRecord] = []
@@ -276,13 +298,17 @@ def test_beams_on_teammates_make_no_wall() -> None:
 
 
 def test_the_map_of_one_robot_helps_the_other() -> None:
-    # The first maps the corridor; the second comes from 3 m away, where there is nothing to see, with bad wheels.
+    # The first maps the corridor; the second comes from 3 m away, where there is nothing to see,
+    # with bad wheels.
     walls = np.array([[0.0, 0.4, 8.0, 0.4], [0.0, -0.4, 8.0, -0.4]])
     ahead, behind = np.array([0.3, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
     good, _ = drive(walls, ahead, straight(5.0))
     bad, poses = drive(walls, behind, straight(5.0))
     lying = [
-        Observation(ranges=each["ranges"], wheels=(np.asarray(each["wheels"]) * (1.0, 1.003)).astype(np.float32))
+        Observation(
+            ranges=each["ranges"],
+            wheels=(np.asarray(each["wheels"]) * (1.0, 1.003)).astype(np.float32),
+        )
         for each in bad
     ]
     alone, _ = slam_after(lying, CONFIG, behind)
@@ -294,7 +320,9 @@ def test_the_map_of_one_robot_helps_the_other() -> None:
     for each in lying:
         team.step(still, each)
     team.finish()
-    errors = [abs(se2.wrap_angle(float(pose[2] - poses[-1, 2]))) for pose in (alone.pose, team.poses[1])]
+    errors = [
+        abs(se2.wrap_angle(float(pose[2] - poses[-1, 2]))) for pose in (alone.pose, team.poses[1])
+    ]
     assert errors[0] > math.radians(1.5)
     assert errors[1] < math.radians(0.3)
     assert len(team.landmarks) == 2
@@ -308,7 +336,9 @@ def rounds(noise: float = 0.02) -> tuple[list[Observation], FloatArray]:
 
 
 def with_ranges(observations: list[Observation], change: Change) -> list[Observation]:
-    """The same drive, its ranges (n_beams,) put through ``change(step, ranges)``, which may give None for none."""
+    """The same drive, its ranges (n_beams,) put through ``change(step, ranges)``, which may give
+    None for none.
+    """
     changed: list[Observation] = []
     for step, each in enumerate(observations):
         ranges = change(step, each["ranges"].astype(float))
@@ -327,11 +357,15 @@ def put(ranges: FloatArray, beams: Sequence[int] | np.ndarray, value: float) -> 
 RANDOM = np.random.default_rng(7).random((2000, 6))
 FAULTS: dict[str, Change] = {
     "none": lambda _step, ranges: ranges,
-    "a burst of NaN": lambda step, ranges: put(ranges, range(6), math.nan) if 150 <= step < 180 else ranges,
+    "a burst of NaN": lambda step, ranges: (
+        put(ranges, range(6), math.nan) if 150 <= step < 180 else ranges
+    ),
     "a dead beam": lambda _step, ranges: put(ranges, [1], 1.5),
     "no ranges for 2 s": lambda step, ranges: None if 200 <= step < 220 else ranges,
     "a stuck beam": lambda _step, ranges: put(ranges, [1], 0.7),
-    "nothing but noise at first": lambda step, ranges: 0.1 + 1.3 * RANDOM[step] if step < 150 else ranges,
+    "nothing but noise at first": lambda step, ranges: (
+        0.1 + 1.3 * RANDOM[step] if step < 150 else ranges
+    ),
 }
 HARMLESS = {"none", "a burst of NaN", "a dead beam", "no ranges for 2 s"}
 
@@ -372,7 +406,11 @@ def test_odometry_poses_serve_in_place_of_wheels() -> None:
     observations, poses = drive(walls, start, along(LOOP), noise=0.02)
     logged, before = list[Observation](), poses[0]
     for observation, pose in zip(observations, poses, strict=True):
-        logged.append(Observation(ranges=observation["ranges"], odometry=se2.compose(se2.inverse(before), pose)))
+        logged.append(
+            Observation(
+                ranges=observation["ranges"], odometry=se2.compose(se2.inverse(before), pose)
+            )
+        )
         before = pose
     # The heading of this odometry drifts by 0.2 degrees a metre.
     for each in logged:

@@ -16,7 +16,11 @@ from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, rang
 from support.readings import Readings, expected_ranges, expected_rows, keep_clones, observe
 
 from limslam_agent import AgentConfig, LineSlam, Mapper, preset, read_log, replay_log
-from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig, SelfCalibrationConfig
+from limslam_agent.config.consistent import (
+    ConsistentConfig,
+    RangeErrorConfig,
+    SelfCalibrationConfig,
+)
 from limslam_agent.config.presets import self_calibrating
 from limslam_agent.mapping import mapper as mapper_module
 from limslam_agent.output.summary import record_summary, turn_records
@@ -24,7 +28,12 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.separate_bias import DELAY, OdometryErrors, by_range_errors
-from limslam_agent.slam.core.motion import AS_SPECIFIED, OdometryCalibration, calibrated, motion_from_wheels
+from limslam_agent.slam.core.motion import (
+    AS_SPECIFIED,
+    OdometryCalibration,
+    calibrated,
+    motion_from_wheels,
+)
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env import NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray, se2
@@ -39,7 +48,9 @@ LINE, ANCHOR = np.array([0.3, 0.4]), np.array([1.0, 0.5])
 
 def one_reading(bearing: float, cone: float) -> Readings:
     none, sources = np.zeros(1), np.zeros((1, 2), dtype=int)
-    return Readings(np.zeros(1, dtype=int), np.zeros((1, 2)), np.array([bearing]), none, sources, cone=cone)
+    return Readings(
+        np.zeros(1, dtype=int), np.zeros((1, 2)), np.array([bearing]), none, sources, cone=cone
+    )
 
 
 def distance_to(line: FloatArray, bearing: float, cone: float, pose: FloatArray) -> float:
@@ -56,21 +67,29 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
     found = expected_ranges(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
     rows = expected_rows(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
     by_pose = [
-        distance_to(LINE, bearing, cone, pose + each) - distance_to(LINE, bearing, cone, pose - each)
+        distance_to(LINE, bearing, cone, pose + each)
+        - distance_to(LINE, bearing, cone, pose - each)
         for each in step * np.eye(3)
     ]
     by_line = [
-        distance_to(LINE + each, bearing, cone, pose) - distance_to(LINE - each, bearing, cone, pose)
+        distance_to(LINE + each, bearing, cone, pose)
+        - distance_to(LINE - each, bearing, cone, pose)
         for each in step * np.eye(2)
     ]
-    wider = distance_to(LINE, bearing, cone + step, pose) - distance_to(LINE, bearing, cone - step, pose)
+    wider = distance_to(LINE, bearing, cone + step, pose) - distance_to(
+        LINE, bearing, cone - step, pose
+    )
     np.testing.assert_allclose(found.by_pose[0], np.array(by_pose) / (2.0 * step), atol=1e-6)
     np.testing.assert_allclose(found.by_line[0], np.array(by_line) / (2.0 * step), atol=1e-6)
-    turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(LINE, bearing - step, cone, pose)
+    turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(
+        LINE, bearing - step, cone, pose
+    )
     by_errors = by_range_errors(rows, one_reading(bearing, cone).rows, pose[2:], float(LINE[1]), 1)
     assert not by_errors[:, DELAY].any()  # it acts by the poses
     by_errors = np.delete(by_errors, DELAY, axis=1)
-    np.testing.assert_allclose(by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6)
+    np.testing.assert_allclose(
+        by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6
+    )
 
 
 def counted(factor: float, growth: float, seed: int = 0) -> RangeNoise:
@@ -96,17 +115,26 @@ def test_other_noise_is_found(factor: float, growth: float) -> None:
     assert found.evidence > 50.0
     for distance in (0.4, 1.2):
         true = math.hypot(factor * NOISE, growth * distance**2)
-        assert RangeSensor(found.std, found.growth).stds(np.array([distance]))[0] == pytest.approx(true, rel=0.2)
+        assert RangeSensor(found.std, found.growth).stds(np.array([distance]))[0] == pytest.approx(
+            true, rel=0.2
+        )
 
 
 def observed(
-    cone: float, seed: int, *, noise: float = NOISE, bias: float = 0.0, turns: tuple[float, ...] = ()
+    cone: float,
+    seed: int,
+    *,
+    noise: float = NOISE,
+    bias: float = 0.0,
+    turns: tuple[float, ...] = (),
 ) -> tuple[list[Observation], FloatArray]:
     """Observations of a sensor along two laps, and the true poses."""
     generator = np.random.default_rng(seed)
     exact, poses = drive(WALLS, np.zeros(3), ROUTE)
     turned = [
-        RangeSensor(NOISE, turns=tuple(share * cone + np.array(turns or np.zeros(len(ROBOT.beams))))).mounted(ROBOT)
+        RangeSensor(
+            NOISE, turns=tuple(share * cone + np.array(turns or np.zeros(len(ROBOT.beams))))
+        ).mounted(ROBOT)
         for share in np.linspace(-1.0, 1.0, 5)
     ]
     observations: list[Observation] = []
@@ -114,8 +142,12 @@ def observed(
         ranges = np.min([ranges_at(pose, WALLS, each) for each in turned], axis=0)
         read = ranges + bias + noise * generator.standard_normal(len(ranges))
         is_seen = ranges < ROBOT.max_ranges
-        wheels = seen["wheels"] + np.sqrt(2e-5 * np.abs(seen["wheels"])) * generator.standard_normal(2)
-        kept = np.where(is_seen, np.clip(read, ROBOT.min_ranges, ROBOT.max_ranges), ROBOT.max_ranges)
+        wheels = seen["wheels"] + np.sqrt(
+            2e-5 * np.abs(seen["wheels"])
+        ) * generator.standard_normal(2)
+        kept = np.where(
+            is_seen, np.clip(read, ROBOT.min_ranges, ROBOT.max_ranges), ROBOT.max_ranges
+        )
         observations.append({"ranges": kept, "wheels": wheels})
     return observations, poses
 
@@ -123,7 +155,9 @@ def observed(
 def config_of(*, enabled: bool = True) -> AgentConfig:
     config = preset("consistent", NominalNoise(NOISE))
     assert isinstance(config.estimator, ConsistentConfig)
-    return replace(config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=enabled)))
+    return replace(
+        config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=enabled))
+    )
 
 
 def mapped(
@@ -172,13 +206,18 @@ def test_turned_beams_are_found_and_named() -> None:
     mapper, _, _ = mapped(observed(0.0, 3, turns=tuple(turns))[0], config_of())
     found = mapper.slam.beam_turns
     assert found is not None
-    # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell their directions.
+    # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell
+    # their directions.
     np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
     result = {"record": {"beam_turns": turn_records(found)}, "config": {"robot": asdict(ROBOT)}}
     line = record_summary(result)[-1]
-    assert re.search(r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line)
+    assert re.search(
+        r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line
+    )
     assert "turned" not in "".join(record_summary({**result, "metrics": {"status": "lost"}}))
-    assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
+    assert mapper.slam.mounted.beam_angles == pytest.approx(
+        ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0)
+    )
 
 
 @pytest.mark.parametrize("delay", [1, 3])
@@ -189,7 +228,11 @@ def test_late_ranges_are_found_and_corrected(delay: int) -> None:
     mapper, _, _ = mapped(told, config_of())
     assert mapper.slam.range_sensor.delay == pytest.approx(delay, abs=0.2)
     assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
-    result = {"record": {"sensor": mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)}}
+    result = {
+        "record": {
+            "sensor": mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)
+        }
+    }
     (line,) = (line for line in record_summary(result) if line.startswith("sensor"))
     found = re.search(r"ranges are (\d\.\d\d) s later than the wheels", line)
     assert found is not None
@@ -207,7 +250,10 @@ def test_a_beam_that_always_reads_the_same_is_left_out_and_named(beam: int, read
     assert sensor.broken == (beam,)
     assert mapper.statuses[0].level == "ok"
     assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
-    result = {"record": {"sensor": sensor.found(RangeSensor(NOISE), 0.1)}, "config": {"robot": asdict(ROBOT)}}
+    result = {
+        "record": {"sensor": sensor.found(RangeSensor(NOISE), 0.1)},
+        "config": {"robot": asdict(ROBOT)},
+    }
     named = f"the beam at {math.degrees(ROBOT.beam_angles[beam]):.4g} deg always reads the same"
     assert named in "".join(record_summary(result))
 
@@ -270,7 +316,9 @@ class Corridor:
         self.pose = se2.compose(self.pose, calibrated(reported, ROBOT.axle, self.true).increment)
         for ekf in self.filters:
             found = ekf.calibration()
-            motion = calibrated(reported, ROBOT.axle, OdometryCalibration(*found[0]) if found else assumed)
+            motion = calibrated(
+                reported, ROBOT.axle, OdometryCalibration(*found[0]) if found else assumed
+            )
             is_estimated = found is not None or ekf.calibration_evidence is not None
             ekf.predict(motion if is_estimated else replace(motion, by_calibration=None))
 
@@ -285,7 +333,11 @@ class Corridor:
                 ekf.P[part, part] = SMALL**2 * np.eye(2)
             sources = np.array([[0, beam] for beam in SIDES[side]])
             readings = Readings(
-                np.full(2, clone), ROBOT.beam_origins[SIDES[side]], ROBOT.beam_angles[SIDES[side]], ranges, sources
+                np.full(2, clone),
+                ROBOT.beam_origins[SIDES[side]],
+                ROBOT.beam_angles[SIDES[side]],
+                ranges,
+                sources,
             )
             observe(ekf, readings, side, SMALL * 0.02, 2, 0.0)
             if side == 1:
@@ -298,7 +350,9 @@ class Corridor:
                 self.look(step // 4 % 2)
 
 
-def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_its_state_knows() -> None:
+def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_its_state_knows() -> (
+    None
+):
     separate, joint = CloneEKF(np.zeros(3), PRIOR), CloneEKF(np.zeros(3), PRIOR)
     joint.calibrate()
     Corridor([separate, joint], OdometryCalibration(2e-5, -1e-5, 3e-5)).drive()
@@ -306,13 +360,20 @@ def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_it
     separate.calibrate()
     for ekf in (separate, joint):
         assert ekf.calibration_evidence is None
-    (found, covariance), (expected, expected_covariance) = separate.calibration(), joint.calibration()  # type: ignore[misc]
+    (found, covariance), (expected, expected_covariance) = (
+        separate.calibration(),
+        joint.calibration(),
+    )  # type: ignore[misc]
     stds = np.sqrt(np.diag(expected_covariance))
     np.testing.assert_allclose(found / stds, expected / stds, atol=1e-3)
-    np.testing.assert_allclose(covariance / np.outer(stds, stds), expected_covariance / np.outer(stds, stds), atol=1e-3)
+    np.testing.assert_allclose(
+        covariance / np.outer(stds, stds), expected_covariance / np.outer(stds, stds), atol=1e-3
+    )
     scale = np.sqrt(np.diag(joint.P))
     np.testing.assert_allclose((separate.x - joint.x) / scale, 0.0, atol=2e-3)
-    np.testing.assert_allclose(separate.P / np.outer(scale, scale), joint.P / np.outer(scale, scale), atol=2e-3)
+    np.testing.assert_allclose(
+        separate.P / np.outer(scale, scale), joint.P / np.outer(scale, scale), atol=2e-3
+    )
     np.testing.assert_allclose(separate.P, separate.P.T, rtol=1e-12)
 
 
@@ -325,9 +386,12 @@ def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -
     state(ekf, AS_SPECIFIED)
     for column in range(3):
         above, below = (
-            state(CloneEKF(np.zeros(3)), OdometryCalibration(*(step * np.eye(3)[column]))) for step in (SMALL, -SMALL)
+            state(CloneEKF(np.zeros(3)), OdometryCalibration(*(step * np.eye(3)[column])))
+            for step in (SMALL, -SMALL)
         )
-        np.testing.assert_allclose(ekf.by_errors[:, column], (above - below) / (2.0 * SMALL), atol=2e-3)
+        np.testing.assert_allclose(
+            ekf.by_errors[:, column], (above - below) / (2.0 * SMALL), atol=2e-3
+        )
 
 
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
@@ -341,11 +405,18 @@ def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
     assert errors.evidence == pytest.approx(chi_squares[0] - chi_squares[1] + sizes[0] - sizes[1])
 
 
-def uneven_laps(uneven: float, *, seed: int = 5, laps: float = 1.0) -> tuple[list[Observation], FloatArray]:
-    """Observations along the square with one wheel larger and the other smaller, and the true poses."""
+def uneven_laps(
+    uneven: float, *, seed: int = 5, laps: float = 1.0
+) -> tuple[list[Observation], FloatArray]:
+    """Observations along the square with one wheel larger and the other smaller, and the true
+    poses.
+    """
     log = laps_of_square(0.02, seed=seed, laps=laps)
     counted = np.array([1.0 + 0.5 * uneven, 1.0 - 0.5 * uneven])
-    return [{**seen, "wheels": (counted * seen["wheels"]).astype(np.float32)} for seen in log.observations], log.poses
+    return [
+        {**seen, "wheels": (counted * seen["wheels"]).astype(np.float32)}
+        for seen in log.observations
+    ], log.poses
 
 
 def test_a_robot_as_specified_is_estimated_as_if_nothing_were_calibrated() -> None:
@@ -367,7 +438,9 @@ def test_a_robot_with_uneven_wheels_knows_its_way() -> None:
     for seed in (5, 6, 7):
         observations, poses = uneven_laps(0.04, seed=seed)
         mapper, off = (
-            Mapper(FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), "if_needed"), poses[0]),
+            Mapper(
+                FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), "if_needed"), poses[0]
+            ),
             [],
         )
         for seen, true in zip(observations, poses, strict=True):
@@ -397,12 +470,17 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again() -> None:
     np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
     found = mapper.slam.odometry_calibration
     assert found is not None
-    turns, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
+    turns, std = (
+        np.array([-1.0, 1.0, 0.0]),
+        math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0])),
+    )
     assert turns @ np.array(found[0]) == pytest.approx(uneven, abs=4.0 * std)
 
 
 COUNTED = np.array([1.006, 0.994])
-"""What encoders count over what wheels turn: the left one is taken for larger than it is, the right for smaller."""
+"""What encoders count over what wheels turn: the left one is taken for larger than it is, the right
+for smaller.
+"""
 
 
 def config(noise: float, *, enabled: bool) -> AgentConfig:
@@ -426,7 +504,10 @@ def test_uneven_wheels_are_found_out(noise: float) -> None:
     assert slam.odometry_calibration is not None
     factors, covariance = slam.odometry_calibration
     true = 1.0 / COUNTED - 1.0
-    uneven, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
+    uneven, std = (
+        np.array([-1.0, 1.0, 0.0]),
+        math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]),
+    )
     assert std < 0.2 * (true[1] - true[0])
     assert uneven @ np.array(factors) == pytest.approx(true[1] - true[0], abs=3.0 * std)
     assert error < 0.3
@@ -437,7 +518,12 @@ def test_each_robot_has_wheels_of_its_own() -> None:
     slam = LineSlam(FOUR_BEAMS, config(0.02, enabled=True), start)
     ranges = FOUR_BEAMS.max_ranges.astype(np.float32)
     for _ in range(10):
-        slam.step(*({"ranges": ranges, "wheels": np.full(2, travel, dtype=np.float32)} for travel in (0.02, 0.03)))
+        slam.step(
+            *(
+                {"ranges": ranges, "wheels": np.full(2, travel, dtype=np.float32)}
+                for travel in (0.02, 0.03)
+            )
+        )
     np.testing.assert_allclose(slam.poses, [[0.2, 0.0, 0.0], [1.3, 0.0, 0.0]], atol=1e-6)
     # Farther driven, less sure of where: each by its own wheels' size alone.
     # The noise alone would give a ratio of 1.5, and the size alone 2.25.
@@ -467,7 +553,9 @@ def test_replay_tells_what_it_found(tmp_path: Path) -> None:
     table = tmp_path / "corridor.csv"
     rows = [f"{0.1 * step:.1f},{0.025 * step:.3f},0,0,0.8,0.9" for step in range(200)]
     table.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
-    (tmp_path / "settings.toml").write_text('[agent.estimator.self_calibration]\ncalibrate = "always"\n')
+    (tmp_path / "settings.toml").write_text(
+        '[agent.estimator.self_calibration]\ncalibrate = "always"\n'
+    )
     config = ["--preset", "consistent", "--config", str(tmp_path / "settings.toml")]
     arguments = ["replay", str(table), *config, "--out", str(tmp_path / "out")]
     assert limslam(*arguments).returncode == 0

@@ -1,4 +1,6 @@
-"""How the consistent filter finds walls: straight pieces, association, expected readings, and where walls extend."""
+"""How the consistent filter finds walls: straight pieces, association, expected readings, and where
+walls extend.
+"""
 
 import math
 from collections import Counter
@@ -14,8 +16,23 @@ from support.readings import Readings, clone_poses, expected_ranges, hit_points,
 
 from limslam_agent import BatchSlam, LineSlam, preset
 from limslam_agent.config.consistent import ConsistentConfig, ExtentConfig
-from limslam_agent.kernels.extents import add_wall, clear_along_beams, count_hits, merge_walls, pass_at
-from limslam_agent.kernels.tables import ANGLE_STD, BIN, EXTENT, FARTHEST, MIDDLE_X, MIDDLE_Y, THETA, empty_walls
+from limslam_agent.kernels.extents import (
+    add_wall,
+    clear_along_beams,
+    count_hits,
+    merge_walls,
+    pass_at,
+)
+from limslam_agent.kernels.tables import (
+    ANGLE_STD,
+    BIN,
+    EXTENT,
+    FARTHEST,
+    MIDDLE_X,
+    MIDDLE_Y,
+    THETA,
+    empty_walls,
+)
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import straight_segments
 from limslam_agent.slam.consistent.limits import FAR_GATE
@@ -34,7 +51,9 @@ NOISES = (0.0, 0.02, 0.04)
 
 
 class WallSegment(NamedTuple):
-    """A straight piece: its readings, direction, middle, end points, length, and the direction's standard deviation."""
+    """A straight piece: its readings, direction, middle, end points, length, and the direction's
+    standard deviation.
+    """
 
     members: IntArray
     theta: float
@@ -57,22 +76,33 @@ class Drive(NamedTuple):
         """Where they are believed to have ended (n, 2), m."""
         return hit_points(clone_poses(self.belief, self.readings.clones), self.readings)
 
-    def pieces(self, members: IntArray | None = None, about: FloatArray | None = None) -> list[WallSegment]:
-        """The straight pieces of what was read, about a line (2,) or the one that fits all of it best."""
+    def pieces(
+        self, members: IntArray | None = None, about: FloatArray | None = None
+    ) -> list[WallSegment]:
+        """The straight pieces of what was read, about a line (2,) or the one that fits all of it
+        best.
+        """
         chosen = np.arange(len(self.hits)) if members is None else members
         line = fit_line(self.points[chosen], self.std).line if about is None else about
         places, readings = places_of(self.belief.arrays, self.readings.clones), self.readings
-        points, variances = points_of(self.belief, readings, float(line[1])), readings.variances(self.std)
+        points, variances = (
+            points_of(self.belief, readings, float(line[1])),
+            readings.variances(self.std),
+        )
         segments, owner, _ = straight_segments(
             self.belief.arrays, places, readings.rows, points, chosen, line, self.std, variances
         )
         return [
             WallSegment(
-                chosen[owner == number], float(row[THETA]), row[[MIDDLE_X, MIDDLE_Y]], points[chosen[owner == number]],
-                float(row[EXTENT]), float(row[ANGLE_STD]),
+                chosen[owner == number],
+                float(row[THETA]),
+                row[[MIDDLE_X, MIDDLE_Y]],
+                points[chosen[owner == number]],
+                float(row[EXTENT]),
+                float(row[ANGLE_STD]),
             )
             for number, row in enumerate(segments)
-        ]  # fmt: skip
+        ]
 
 
 def ray(start: FloatArray, heading: float, corners: FloatArray) -> float:
@@ -88,7 +118,9 @@ def ray(start: FloatArray, heading: float, corners: FloatArray) -> float:
     return free
 
 
-def drive_past(corners: FloatArray, length: float, noise: float, seed: int, wheel_variance: float = 2e-5) -> Drive:
+def drive_past(
+    corners: FloatArray, length: float, noise: float, seed: int, wheel_variance: float = 2e-5
+) -> Drive:
     """Drive along x for ``length`` (m), and read walls from corner to corner (k, 2) to the left."""
     generator = np.random.default_rng(seed)
     nominal = NominalNoise(noise, wheel_variance)
@@ -112,20 +144,28 @@ def drive_past(corners: FloatArray, length: float, noise: float, seed: int, whee
         told = motion_from_wheels(reported, ROBOT, nominal)
         belief.predict(told)
     readings = Readings(
-        np.array(clones), ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], np.array(ranges),
+        np.array(clones),
+        ROBOT.beam_origins[beams],
+        ROBOT.beam_angles[beams],
+        np.array(ranges),
         np.column_stack((clones, beams)),
-    )  # fmt: skip
+    )
     return Drive(belief, readings, np.array(hits), std)
 
 
 def chain(start: tuple[float, float], *legs: tuple[float, float]) -> FloatArray:
     """Corners (k, 2) of walls one after another: each its length (m) and direction (deg)."""
-    steps = [(length * math.cos(math.radians(turn)), length * math.sin(math.radians(turn))) for length, turn in legs]
+    steps = [
+        (length * math.cos(math.radians(turn)), length * math.sin(math.radians(turn)))
+        for length, turn in legs
+    ]
     return np.asarray(np.array(start) + np.vstack((np.zeros((1, 2)), np.cumsum(steps, axis=0))))
 
 
 def facets(angle: float) -> FloatArray:
-    """Two facets of 0.45 m that meet at ``angle`` (deg), as of a rounded obstacle, and stand 0.5 m to the left."""
+    """Two facets of 0.45 m that meet at ``angle`` (deg), as of a rounded obstacle, and stand 0.5 m
+    to the left.
+    """
     half = 0.5 * angle
     return chain((0.1, 0.5), (0.45, half), (0.45, -half))
 
@@ -150,7 +190,8 @@ def test_a_straight_wall_stays_one_piece_whatever_odometry_makes_of_it(noise: fl
 
 
 def test_a_bend_of_the_way_is_not_taken_for_one_of_the_wall() -> None:
-    # Wheels twice as bad bend the wall by centimetres; who takes the poses for exact cuts it to pieces.
+    # Wheels twice as bad bend the wall by centimetres; who takes the poses for exact cuts it to
+    # pieces.
     counts = {trusted: Counter[int]() for trusted in (False, True)}
     for seed in range(30):
         for trusted, count in counts.items():
@@ -175,9 +216,10 @@ def test_two_facets_are_cut_near_the_corner_between_them(noise: float, angle: fl
         if len(pieces) != 2:
             continue
         right += 1
-        low, high = sorted((float(along.min()), float(along.max())) for along in (
-            drive.hits[piece.members, 0] for piece in pieces
-        ))  # fmt: skip
+        low, high = sorted(
+            (float(along.min()), float(along.max()))
+            for along in (drive.hits[piece.members, 0] for piece in pieces)
+        )
         off.append(abs(0.5 * (low[1] + high[0]) - corners[1, 0]))
         # Which way a facet runs, with half of the readings, at 4 cm to some degrees.
         turned = np.sort([math.degrees(piece.theta) % 180.0 for piece in pieces])
@@ -217,7 +259,9 @@ FALSE_TURN = range(len(straight(5.5)) + 1, len(straight(5.5)) + 5)
 
 
 def misled(degrees: float) -> tuple[list[Observation], FloatArray]:
-    """A drive along a wall that is known already, whose odometry turns by an angle that is none, and the last pose."""
+    """A drive along a wall that is known already, whose odometry turns by an angle that is none,
+    and the last pose.
+    """
     observations, poses = drive(STRAIGHT_WALL, START, BACK_AND_FORTH)
     each = 0.5 * ROBOT.axle * math.radians(degrees) / len(FALSE_TURN)
     for step in FALSE_TURN:
@@ -234,7 +278,8 @@ def test_a_filter_that_is_too_sure_is_corrected_by_the_only_wall_nearby() -> Non
         slam.step(seen)
     assert np.abs(slam.pose - pose).max() < 0.005
     assert len(slam.all_landmarks) == 1
-    # The first comparison after the false turn lies between the gates, and it is said that the landmark was taken.
+    # The first comparison after the false turn lies between the gates, and it is said that the
+    # landmark was taken.
     tests = [each.tests[0] for each in heard if each.step > FALSE_TURN[0]]
     refused = [test for test in tests if GATE < test.distance < FAR_GATE]
     assert refused
@@ -281,13 +326,17 @@ def one_pose(pose: FloatArray) -> tuple[FloatArray, Readings]:
 
 
 def assert_close(found: FloatArray, wanted: FloatArray, cosines: FloatArray) -> None:
-    """Equal but for what is left of central differences, which grows as a beam turns along the line."""
+    """Equal but for what is left of central differences, which grows as a beam turns along the
+    line.
+    """
     np.testing.assert_allclose(found * cosines**2, wanted * cosines**2, rtol=0.0, atol=1e-6)
 
 
 @settings(deadline=None, max_examples=200)
 @given(poses, lines, anchors)
-def test_the_derivatives_equal_central_differences(pose: FloatArray, line: FloatArray, anchor: FloatArray) -> None:
+def test_the_derivatives_equal_central_differences(
+    pose: FloatArray, line: FloatArray, anchor: FloatArray
+) -> None:
     stacked, readings = one_pose(pose)
     expected = expected_ranges(stacked, readings, line, anchor)
     clear = np.abs(expected.cosines) > 0.05
@@ -306,7 +355,9 @@ def test_the_derivatives_equal_central_differences(pose: FloatArray, line: Float
 
 @settings(deadline=None, max_examples=200)
 @given(poses, lines, anchors)
-def test_a_reading_as_expected_ends_on_the_line(pose: FloatArray, line: FloatArray, anchor: FloatArray) -> None:
+def test_a_reading_as_expected_ends_on_the_line(
+    pose: FloatArray, line: FloatArray, anchor: FloatArray
+) -> None:
     stacked, readings = one_pose(pose)
     expected = expected_ranges(stacked, readings, line, anchor)
     clear = np.nonzero(np.abs(expected.cosines) > 0.05)[0]
@@ -341,7 +392,9 @@ class Extent:
 
     def intervals(self, gap: float, tolerance: float) -> FloatArray:
         low, length = self.walls.table[0, :2]
-        extent = WallExtent(int(low), self.walls.counted[0, :, :length], self.walls.reached[0, :, :length])
+        extent = WallExtent(
+            int(low), self.walls.counted[0, :, :length], self.walls.reached[0, :, :length]
+        )
         return extent.intervals(gap, tolerance)
 
     @property
@@ -365,7 +418,8 @@ def wall(low: float, high: float) -> FloatArray:
 @given(spots, st.floats(0.06, 2.0))
 def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
     pieces = hit_at(along).intervals(gap, TOLERANCE)
-    # All hits are within some piece, pieces begin and end with hits, in order, and what is between is a gap.
+    # All hits are within some piece, pieces begin and end with hits, in order, and what is between
+    # is a gap.
     assert all(((pieces[:, 0] <= place) & (place <= pieces[:, 1])).any() for place in along)
     assert np.isin(pieces, along).all()
     assert (pieces[:, 1] >= pieces[:, 0]).all()
@@ -388,21 +442,36 @@ def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[Wa
     return walls, line
 
 
-def beams_from(walls: WallMap, origins: FloatArray, heading: float, free: float, std: float = 0.005) -> None:
+def beams_from(
+    walls: WallMap, origins: FloatArray, heading: float, free: float, std: float = 0.005
+) -> None:
     """Beams that begin at points (n, 2) and went a distance into the same direction."""
     beam, ekf = np.zeros((1, 8)), walls._belief.arrays
     beam[0, FARTHEST] = 10.0
     for origin in origins:
         ekf.x[:3] = *origin, heading
         clear_along_beams(
-            walls.arrays, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, np.array([free]), np.ones(1, dtype=bool), beam,
-            (std, 0.0), np.empty((1, 6)),
-        )  # fmt: skip
+            walls.arrays,
+            ekf.x,
+            ekf.P,
+            ekf.counts,
+            ekf.anchors,
+            0,
+            np.array([free]),
+            np.ones(1, dtype=bool),
+            beam,
+            (std, 0.0),
+            np.empty((1, 6)),
+        )
 
 
-def look(walls: WallMap, line: FloatArray, along: FloatArray, free: float, std: float = 0.005) -> None:
+def look(
+    walls: WallMap, line: FloatArray, along: FloatArray, free: float, std: float = 0.005
+) -> None:
     """Beams straight at places along the wall from 0.5 m before it."""
-    beams_from(walls, line_geometry.at(line, along) - 0.5 * line_geometry.normal(line), line[1], free, std)
+    beams_from(
+        walls, line_geometry.at(line, along) - 0.5 * line_geometry.normal(line), line[1], free, std
+    )
 
 
 @pytest.mark.parametrize("theta", [0.7, -2.0])
@@ -415,7 +484,9 @@ def test_a_piece_of_the_map_vanishes_where_beams_pass(theta: float) -> None:
     assert segment.lengths(segments) == pytest.approx([0.65, 0.65], abs=0.051)
     middles = 0.5 * (segments[:, :2] + segments[:, 2:])
     np.testing.assert_allclose(np.abs(middles @ line_geometry.direction(line)), 0.65, atol=0.05)
-    np.testing.assert_allclose(walls.ends(0) @ line_geometry.direction(line), [-0.99, 0.96], atol=1e-12)
+    np.testing.assert_allclose(
+        walls.ends(0) @ line_geometry.direction(line), [-0.99, 0.96], atol=1e-12
+    )
     for _ in range(2):
         look(walls, line, np.arange(-0.98, 1.0, 0.05), 1.2)
     assert walls.segments.shape == (0, 4)
@@ -429,6 +500,11 @@ def test_beams_that_end_at_the_wall_or_within_what_is_unsure_or_look_away_do_not
         look(walls, line, along, 0.5)
         look(walls, line, along, 0.54)
         look(walls, line, along, 1.2, std=0.3)
-        beams_from(walls, line_geometry.at(line, along) - 0.5 * line_geometry.normal(line), line[1] + math.pi, 1.2)
+        beams_from(
+            walls,
+            line_geometry.at(line, along) - 0.5 * line_geometry.normal(line),
+            line[1] + math.pi,
+            1.2,
+        )
         beams_from(walls, line_geometry.at(line, along), line[1] + 0.5 * math.pi, 1.2)
     assert segment.lengths(walls.segments) == pytest.approx([1.95])

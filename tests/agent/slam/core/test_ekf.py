@@ -1,4 +1,6 @@
-"""The line EKF: equal to filterpy's dense filter, honest where the model is linear, and sound after many steps."""
+"""The line EKF: equal to filterpy's dense filter, honest where the model is linear, and sound after
+many steps.
+"""
 
 import math
 
@@ -35,13 +37,17 @@ def filter_with(lines: FloatArray, pose: FloatArray, covariance: FloatArray) -> 
 
 
 def random_lines(count: int, generator: np.random.Generator) -> FloatArray:
-    return np.column_stack((generator.uniform(0.3, 5.0, count), generator.uniform(-math.pi, math.pi, count)))
+    return np.column_stack(
+        (generator.uniform(0.3, 5.0, count), generator.uniform(-math.pi, math.pi, count))
+    )
 
 
 # The dense filter: the textbook's Jacobians, written out here once more and at full size.
 
 
-def dense_predict(dense: ExtendedKalmanFilter, increment: FloatArray, covariance: FloatArray) -> None:
+def dense_predict(
+    dense: ExtendedKalmanFilter, increment: FloatArray, covariance: FloatArray
+) -> None:
     x, y, theta = dense.x[:3]
     cos, sin = math.cos(theta), math.sin(theta)
     size = len(dense.x)
@@ -51,13 +57,18 @@ def dense_predict(dense: ExtendedKalmanFilter, increment: FloatArray, covariance
     turned = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     dense.Q = np.zeros((size, size))
     dense.Q[:3, :3] = turned @ covariance @ turned.T
-    moved = [x + cos * increment[0] - sin * increment[1], y + sin * increment[0] + cos * increment[1]]
+    moved = [
+        x + cos * increment[0] - sin * increment[1],
+        y + sin * increment[0] + cos * increment[1],
+    ]
     state = np.concatenate((moved, [se2.wrap_angle(theta + increment[2])], dense.x[3:]))
     dense.predict()
     dense.x = state
 
 
-def dense_observe(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatArray, index: int) -> None:
+def dense_observe(
+    dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatArray, index: int
+) -> None:
     first = 3 + 2 * index
 
     def unsigned(state: FloatArray) -> float:
@@ -66,7 +77,9 @@ def dense_observe(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatA
 
     def predicted(state: FloatArray) -> FloatArray:
         behind = unsigned(state) < 0.0
-        return np.array([abs(unsigned(state)), state[first + 1] - state[2] + (math.pi if behind else 0.0)])
+        return np.array(
+            [abs(unsigned(state)), state[first + 1] - state[2] + (math.pi if behind else 0.0)]
+        )
 
     def jacobian(state: FloatArray) -> FloatArray:
         sign = -1.0 if unsigned(state) < 0.0 else 1.0
@@ -91,7 +104,9 @@ def dense_observe(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatA
         dense.x[row + 1] = se2.wrap_angle(dense.x[row + 1])
 
 
-def dense_augment(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatArray) -> ExtendedKalmanFilter:
+def dense_augment(
+    dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatArray
+) -> ExtendedKalmanFilter:
     size = len(dense.x)
     theta = z[1] + dense.x[2]
     r = z[0] + dense.x[0] * math.cos(theta) + dense.x[1] * math.sin(theta)
@@ -119,29 +134,42 @@ def test_a_hundred_random_steps_equal_filterpys_dense_filter(seed: int) -> None:
     dense = ExtendedKalmanFilter(dim_x=3, dim_z=2)
     dense.x, dense.P = ekf.pose, ekf.joint_pose_covariance
     for line in random_lines(20, generator):
-        seen = line_geometry.to_frame(line, ekf.pose) + generator.multivariate_normal(np.zeros(2), SEEN)
+        seen = line_geometry.to_frame(line, ekf.pose) + generator.multivariate_normal(
+            np.zeros(2), SEEN
+        )
         ekf.augment(seen, SEEN)
         dense = dense_augment(dense, seen, SEEN)
         assert_equal_filters(ekf, dense)
     for _ in range(100):
-        increment = np.array([generator.uniform(-0.1, 0.1), generator.normal(0.0, 0.01), generator.uniform(-0.3, 0.3)])
+        increment = np.array(
+            [
+                generator.uniform(-0.1, 0.1),
+                generator.normal(0.0, 0.01),
+                generator.uniform(-0.3, 0.3),
+            ]
+        )
         ekf.predict(increment, MOTION)
         dense_predict(dense, increment, MOTION)
         assert_equal_filters(ekf, dense)
         index = int(generator.integers(20))
         predicted = line_geometry.to_frame(ekf.lines[index], ekf.pose)
-        seen = line_geometry.nearest_form(predicted + generator.multivariate_normal(np.zeros(2), SEEN), predicted)
+        seen = line_geometry.nearest_form(
+            predicted + generator.multivariate_normal(np.zeros(2), SEEN), predicted
+        )
         ekf.observe_line(seen, SEEN, index)
         dense_observe(dense, seen, SEEN, index)
         assert_equal_filters(ekf, dense)
 
 
 def test_errors_stay_inside_their_chi_square_band_where_the_model_is_nearly_linear() -> None:
-    # Noise so small that curvature does not count; what is left is the algebra, and NEES tells if it is right.
+    # Noise so small that curvature does not count; what is left is the algebra, and NEES tells if
+    # it is right.
     runs, steps, small = 200, 20, 1e-4
     generator = np.random.default_rng(21)
     start = np.array([0.4, -0.2, 1.0])
-    first, motion, seen = (small**2 * np.diag(d) for d in ([1.0, 2.0, 0.5], [1.0, 0.2, 0.7], [1.0, 2.0]))
+    first, motion, seen = (
+        small**2 * np.diag(d) for d in ([1.0, 2.0, 0.5], [1.0, 0.2, 0.7], [1.0, 2.0])
+    )
     pose_nees, state_nees, innovations = np.zeros(runs), np.zeros(runs), np.zeros(runs)
     for run in range(runs):
         truth = generator.multivariate_normal(start, first)
@@ -151,18 +179,26 @@ def test_errors_stay_inside_their_chi_square_band_where_the_model_is_nearly_line
             truth = se2.compose(truth, increment)
             ekf.predict(increment + generator.multivariate_normal(np.zeros(3), motion), motion)
             for index, line in enumerate(LINES):
-                observed = line_geometry.to_frame(line, truth) + generator.multivariate_normal(np.zeros(2), seen)
+                observed = line_geometry.to_frame(line, truth) + generator.multivariate_normal(
+                    np.zeros(2), seen
+                )
                 if step == 0:
                     ekf.augment(observed, seen)
                     continue
                 difference, covariance = ekf.innovation(observed, seen, index)
                 innovations[run] += difference @ np.linalg.solve(covariance, difference)
                 ekf.observe_line(observed, seen, index)
-        error = np.concatenate((ekf.pose - truth, (line_geometry.nearest_form(ekf.lines, LINES) - LINES).ravel()))
+        error = np.concatenate(
+            (ekf.pose - truth, (line_geometry.nearest_form(ekf.lines, LINES) - LINES).ravel())
+        )
         error[2] = se2.wrap_angle(float(error[2]))
         pose_nees[run] = error[:3] @ np.linalg.solve(ekf.joint_pose_covariance, error[:3])
         state_nees[run] = error @ np.linalg.solve(ekf.P, error)
-    for values, freedom in ((pose_nees, 3), (state_nees, 11), (innovations, 2 * len(LINES) * (steps - 1))):
+    for values, freedom in (
+        (pose_nees, 3),
+        (state_nees, 11),
+        (innovations, 2 * len(LINES) * (steps - 1)),
+    ):
         low, high = chi2.ppf([0.025, 0.975], freedom * runs) / runs
         assert low < values.mean() < high
 
@@ -177,7 +213,9 @@ def test_angles_and_distances_keep_to_their_ranges(seed: int) -> None:
     for _ in range(10):
         ekf.predict(generator.normal(0.0, 0.1, 3), MOTION)
         index = int(generator.integers(4))
-        observed = line_geometry.to_frame(ekf.lines[index], ekf.pose) + generator.normal(0.0, 0.03, 2)
+        observed = line_geometry.to_frame(ekf.lines[index], ekf.pose) + generator.normal(
+            0.0, 0.03, 2
+        )
         ekf.observe_line(observed, SEEN, index)
         assert (ekf.lines[:, 0] >= 0.0).all()
         assert (np.abs(np.append(ekf.lines[:, 1], ekf.pose[2])) <= math.pi).all()
@@ -214,7 +252,9 @@ def test_the_filter_of_two_is_two_filters_until_they_see_one_wall() -> None:
     for robot, ekf in enumerate(alone):
         np.testing.assert_allclose(together.poses[robot], ekf.pose, atol=1e-12)
         part = slice(3 * robot, 3 * robot + 3)
-        np.testing.assert_allclose(together.joint_pose_covariance[part, part], ekf.joint_pose_covariance, atol=1e-12)
+        np.testing.assert_allclose(
+            together.joint_pose_covariance[part, part], ekf.joint_pose_covariance, atol=1e-12
+        )
         np.testing.assert_allclose(together.lines[robot], ekf.lines[0], atol=1e-12)
     assert not together.P[:3, 3:6].any()
 
@@ -226,4 +266,6 @@ def test_a_wall_that_both_see_ties_their_poses_together() -> None:
     ekf.observe_line(seen, LINE_NOISE, 0, 1)
     after = ekf.joint_pose_covariance
     assert np.abs(after[:3, 3:]).max() > 0.0
-    assert np.linalg.eigvalsh(before - after).min() > -1e-12, "nobody becomes less certain by a measurement"
+    assert np.linalg.eigvalsh(before - after).min() > -1e-12, (
+        "nobody becomes less certain by a measurement"
+    )

@@ -35,7 +35,9 @@ metres = st.floats(-0.5, 0.5)
 
 
 def exact_arc(wheels: FloatArray, axle: float) -> FloatArray:
-    """Where the wheels take the robot, as textbooks draw it: a circle about a centre on the axle's line."""
+    """Where the wheels take the robot, as textbooks draw it: a circle about a centre on the axle's
+    line.
+    """
     left, right = wheels
     turn = (right - left) / axle
     if abs(turn) < 1e-9:
@@ -48,7 +50,8 @@ def numerical_jacobian(wheels: FloatArray, axle: float) -> FloatArray:
     """Central differences of the arc by the two wheels, (3, 2)."""
     step = 1e-5
     columns = [
-        (exact_arc(wheels + step * unit, axle) - exact_arc(wheels - step * unit, axle)) / (2.0 * step)
+        (exact_arc(wheels + step * unit, axle) - exact_arc(wheels - step * unit, axle))
+        / (2.0 * step)
         for unit in np.eye(2)
     ]
     return np.column_stack(columns)
@@ -58,12 +61,16 @@ def numerical_jacobian(wheels: FloatArray, axle: float) -> FloatArray:
 @given(travels, travels)
 def test_wheels_move_the_robot_along_the_exact_arc(left: float, right: float) -> None:
     wheels = np.array([left, right])
-    np.testing.assert_allclose(motion_from_wheels(wheels, ROBOT, NOISE).increment, exact_arc(wheels, 0.16), atol=1e-9)
+    np.testing.assert_allclose(
+        motion_from_wheels(wheels, ROBOT, NOISE).increment, exact_arc(wheels, 0.16), atol=1e-9
+    )
 
 
 @settings(deadline=None, max_examples=100)
 @given(travels, travels)
-def test_the_covariance_of_wheels_is_theirs_through_the_jacobian_of_the_arc(left: float, right: float) -> None:
+def test_the_covariance_of_wheels_is_theirs_through_the_jacobian_of_the_arc(
+    left: float, right: float
+) -> None:
     wheels = np.array([left, right])
     by_wheels = numerical_jacobian(wheels, ROBOT.axle)
     expected = by_wheels @ np.diag(NOISE.wheel_variance * np.abs(wheels) + 1e-12) @ by_wheels.T
@@ -73,45 +80,68 @@ def test_the_covariance_of_wheels_is_theirs_through_the_jacobian_of_the_arc(left
 
 @settings(deadline=None, max_examples=100)
 @given(metres, st.floats(-0.1, 0.1), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1))
-def test_the_bias_is_made_up_for_in_proportion_to_the_distance(x: float, y: float, turn: float, bias: float) -> None:
+def test_the_bias_is_made_up_for_in_proportion_to_the_distance(
+    x: float, y: float, turn: float, bias: float
+) -> None:
     motion = motion_from_odometry(np.array([x, y, turn]), OdometryConfig(turn_bias=bias))
     # The bias is true minus reported heading; its sign is that of the way driven.
-    assert motion.increment[2] - turn == pytest.approx(bias * math.copysign(math.hypot(x, y), x), abs=1e-12)
+    assert motion.increment[2] - turn == pytest.approx(
+        bias * math.copysign(math.hypot(x, y), x), abs=1e-12
+    )
     np.testing.assert_array_equal(motion.increment[:2], [x, y])
 
 
-@pytest.mark.parametrize("bad", [[math.nan, 0.0, 0.0], [0.0, 0.0, -math.inf], [0.1, 0.1], [0.1] * 4])
+@pytest.mark.parametrize(
+    "bad", [[math.nan, 0.0, 0.0], [0.0, 0.0, -math.inf], [0.1, 0.1], [0.1] * 4]
+)
 def test_odometry_that_is_not_three_finite_numbers_is_refused(bad: object) -> None:
     with pytest.raises(ValueError, match="odometry must be 3 finite numbers"):
-        motion_of({"ranges": np.zeros(6), "odometry": np.array(bad)}, ROBOT, NOISE, OdometryConfig())
+        motion_of(
+            {"ranges": np.zeros(6), "odometry": np.array(bad)}, ROBOT, NOISE, OdometryConfig()
+        )
 
 
 SIZES = OdometryCalibration(0.02, -0.01, 0.03)
 QUIET = NominalNoise(0.0, 1e-9)
 
 
-@pytest.mark.parametrize("wheels", [(0.05, 0.03), (0.05, 0.047), (-0.04, -0.05), (-0.05, 0.05), (0.0, 0.0)])
-def test_larger_wheels_on_a_wider_axle_are_a_robot_that_is_built_so(wheels: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    "wheels", [(0.05, 0.03), (0.05, 0.047), (-0.04, -0.05), (-0.05, 0.05), (0.0, 0.0)]
+)
+def test_larger_wheels_on_a_wider_axle_are_a_robot_that_is_built_so(
+    wheels: tuple[float, float],
+) -> None:
     travel = np.array(wheels)
     motion = calibrated(motion_from_wheels(travel, ROBOT, NOISE), ROBOT.axle, SIZES)
-    np.testing.assert_allclose(motion.increment, exact_arc(np.array([1.02, 0.99]) * travel, 1.03 * 0.16), atol=1e-12)
+    np.testing.assert_allclose(
+        motion.increment, exact_arc(np.array([1.02, 0.99]) * travel, 1.03 * 0.16), atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("wheels", [(0.05, 0.03), (-0.05, -0.03), (-0.05, 0.05)])
-def test_the_derivative_by_the_factors_is_that_of_central_differences(wheels: tuple[float, float]) -> None:
+def test_the_derivative_by_the_factors_is_that_of_central_differences(
+    wheels: tuple[float, float],
+) -> None:
     motion = motion_from_wheels(np.array(wheels), ROBOT, QUIET)
     step, at = 1e-6, np.array(SIZES)
     columns = [
-        (calibrated(motion, 0.16, OdometryCalibration(*(at + step * unit))).increment
-         - calibrated(motion, 0.16, OdometryCalibration(*(at - step * unit))).increment) / (2.0 * step)
+        (
+            calibrated(motion, 0.16, OdometryCalibration(*(at + step * unit))).increment
+            - calibrated(motion, 0.16, OdometryCalibration(*(at - step * unit))).increment
+        )
+        / (2.0 * step)
         for unit in np.eye(3)
-    ]  # fmt: skip
-    np.testing.assert_allclose(calibrated(motion, 0.16, SIZES).by_calibration, np.column_stack(columns), atol=1e-9)
+    ]
+    np.testing.assert_allclose(
+        calibrated(motion, 0.16, SIZES).by_calibration, np.column_stack(columns), atol=1e-9
+    )
 
 
 def test_a_turn_that_may_be_noise_says_nothing_of_the_axle() -> None:
     motion = motion_from_wheels(np.array([0.0251, 0.0249]), ROBOT, NOISE)
-    by_calibration = calibrated(motion, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0)).by_calibration
+    by_calibration = calibrated(
+        motion, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0)
+    ).by_calibration
     assert by_calibration is not None
     np.testing.assert_allclose(by_calibration[2], [-0.025 / 0.16, 0.025 / 0.16, 0.0], atol=1e-6)
 
@@ -150,7 +180,9 @@ def told(travel, delays):
     """What is given of the travel (t, n, 2), step by step, and what waits after each step."""
     waiting, given, waits = WaitingTravel(travel.shape[1]), [], []
     for row, delay in zip(travel, delays, strict=True):
-        seen = waiting.synchronous([{"wheels": wheels, "ranges": np.ones(1)} for wheels in row], delay)
+        seen = waiting.synchronous(
+            [{"wheels": wheels, "ranges": np.ones(1)} for wheels in row], delay
+        )
         given.append([each["wheels"] for each in seen])
         waits.append(waiting.travel)
     return np.array(given), np.array(waits)
@@ -175,7 +207,9 @@ def test_ahead_is_the_arc_of_the_travel_and_behind_leads_back():
     pose, axle = np.array([1.0, 2.0, 0.5]), 0.2
     quarter = 0.25 * np.pi * axle
     # A quarter turn on the spot, and a quarter of a circle of radius 1 m to the left.
-    np.testing.assert_allclose(ahead(pose, np.array([-quarter, quarter]), axle), [1.0, 2.0, 0.5 + 0.5 * np.pi])
+    np.testing.assert_allclose(
+        ahead(pose, np.array([-quarter, quarter]), axle), [1.0, 2.0, 0.5 + 0.5 * np.pi]
+    )
     turned = ahead(np.zeros(3), 0.5 * np.pi * np.array([0.9, 1.1]), axle)
     np.testing.assert_allclose(turned, [1.0, 1.0, 0.5 * np.pi], atol=1e-12)
     back = behind(ahead(pose, TRAVEL[:, 0], axle), TRAVEL[:, 0], axle)
@@ -187,7 +221,10 @@ def test_a_clone_is_where_late_ranges_were_read():
     ekf = CloneEKF(start, range_errors=(0.02, 0.05, 1.0))
     ekf.predict(Motion(se2.arc(step, turn), np.zeros((3, 3))))
     ekf.clone()
-    late, early = (se2.compose(start, se2.arc((1.0 - delay) * step, (1.0 - delay) * turn)) for delay in (0.1, -0.1))
+    late, early = (
+        se2.compose(start, se2.arc((1.0 - delay) * step, (1.0 - delay) * turn))
+        for delay in (0.1, -0.1)
+    )
     np.testing.assert_allclose(ekf.by_errors[-3:, DELAY], (late - early) / 0.2, atol=5e-4)
     np.testing.assert_array_equal(ekf.by_errors[:3, DELAY], np.zeros(3))
 
@@ -231,7 +268,10 @@ def test_a_beam_that_reads_its_minimum_for_ever_soon_says_nothing() -> None:
 
 def test_beams_to_the_sides_and_beams_that_cannot_measure_near_the_body_show_no_contact() -> None:
     blind = replace(ROBOT, beams=tuple(replace(beam, min_range=0.1) for beam in ROBOT.beams))
-    for contacts, near, beam in ((Contacts(ROBOT, STD), LEAST, 0), (Contacts(blind, STD), 0.1, RIGHT_OF_FRONT)):
+    for contacts, near, beam in (
+        (Contacts(ROBOT, STD), LEAST, 0),
+        (Contacts(blind, STD), 0.1, RIGHT_OF_FRONT),
+    ):
         assert sum(variance_of(contacts, 0.02, near, beam) for _ in range(10)) < 1e-12
 
 
@@ -250,12 +290,16 @@ def test_the_smoother_allows_the_same_slip() -> None:
 
 
 def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A robot that drives against the walls of a room, pushes for a second, and turns: ranges, wheels and poses."""
+    """A robot that drives against the walls of a room, pushes for a second, and turns: ranges,
+    wheels and poses.
+    """
     walls = [[0, 0, 2.5, 0], [2.5, 0, 2.5, 2], [2.5, 2, 0, 2], [0, 2, 0, 0], [1.2, 0.0, 1.2, 0.5]]
     world = World("room", (2.5, 2.0), np.array(walls, dtype=float))
     simulation, generator = Simulation(world, ROBOT, 1), np.random.default_rng(seed)
     start = np.array([0.5, 1.0, generator.uniform(-0.4, 0.4)])
-    readings, truth = simulation.reset(np.random.SeedSequence(seed), NoiseConfig(sensor_noise=STD), start)
+    readings, truth = simulation.reset(
+        np.random.SeedSequence(seed), NoiseConfig(sensor_noise=STD), start
+    )
     rows, pushed, turning = [(readings.ranges[0], readings.wheels[0], truth.poses[0])], 0, 0
     for _ in range(250):
         pushed = pushed + 1 if (rows[-1][0][1:5] <= ROBOT.too_near[1:5]).any() else 0
@@ -282,17 +326,28 @@ def consistency(seed: int) -> tuple[float, float]:
     slam.finish()
     usable = np.ones((len(ranges), 1, 6), dtype=bool)
     run = FilteredRun(
-        ROBOT, NOISY, wheels[:, None], ranges[:, None], usable, np.array(poses), np.array(covariances), records,
+        ROBOT,
+        NOISY,
+        wheels[:, None],
+        ranges[:, None],
+        usable,
+        np.array(poses),
+        np.array(covariances),
+        records,
         slam.closures,
-    )  # fmt: skip
+    )
     smoothed = smooth_run(run)
     assert smoothed is not None
     found = [(np.array(poses), np.array(covariances)), (smoothed.poses, smoothed.covariances)]
-    filtered, finished = (metrics.consistency_metrics(true, each[:, 0], own[:, 0])["anees"] for each, own in found)
+    filtered, finished = (
+        metrics.consistency_metrics(true, each[:, 0], own[:, 0])["anees"] for each, own in found
+    )
     return filtered, finished
 
 
-def test_a_robot_that_pushes_against_walls_knows_how_uncertain_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_robot_that_pushes_against_walls_knows_how_uncertain_it_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     honest = np.array([consistency(seed) for seed in range(2)])
     monkeypatch.setattr(Contacts, "slip", lambda *_: (0.0, 0.0))
     blind = np.array([consistency(seed) for seed in range(2)])

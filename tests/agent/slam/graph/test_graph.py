@@ -1,4 +1,6 @@
-"""Parts of the graph of local maps: key poses, factors, walls and links, matching, loops and their covariances."""
+"""Parts of the graph of local maps: key poses, factors, walls and links, matching, loops and their
+covariances.
+"""
 
 from dataclasses import replace
 
@@ -9,7 +11,13 @@ from support.corridors import corridor_log
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig, WallLineConfig
 from limslam_agent.slam.graph import matching
 from limslam_agent.slam.graph.agreement import VisitCounts, supported
-from limslam_agent.slam.graph.chunk_graph import ChunkGraph, Hops, Loop, joint_covariance, solve_annealed
+from limslam_agent.slam.graph.chunk_graph import (
+    ChunkGraph,
+    Hops,
+    Loop,
+    joint_covariance,
+    solve_annealed,
+)
 from limslam_agent.slam.graph.key_poses import (
     ERRORS,
     LogData,
@@ -39,7 +47,9 @@ RNG = np.random.default_rng(1)
 
 
 def wandering(count=200, beams=3):
-    moves = np.column_stack((RNG.normal(0.05, 0.02, count), RNG.normal(0.0, 0.02, count), RNG.normal(0.0, 0.05, count)))
+    moves = np.column_stack(
+        (RNG.normal(0.05, 0.02, count), RNG.normal(0.0, 0.02, count), RNG.normal(0.0, 0.05, count))
+    )
     odometry = np.zeros((count, 3))
     for row in range(1, count):
         odometry[row] = se2.compose(odometry[row - 1], moves[row])
@@ -55,7 +65,10 @@ def keys_of(log):
 
 def test_two_corrections_after_each_other_are_one():
     log = wandering()
-    first, second = np.array([0.05, 0.03, -0.02, 0.2, 0.02]), np.array([-0.02, 0.01, 0.04, -0.1, 0.01])
+    first, second = (
+        np.array([0.05, 0.03, -0.02, 0.2, 0.02]),
+        np.array([-0.02, 0.01, 0.04, -0.1, 0.01]),
+    )
     twice = corrected(corrected(log, first), second).odometry
     once = corrected(log, joined_bias(first, second)).odometry
     # The direction of a motion turns by half of the missing heading, which is not exactly additive.
@@ -106,10 +119,16 @@ def test_relation_jacobian():
 def test_odometry_jacobian_by_poses_and_constant_errors():
     keys = keys_of(curved_log())
     bias = np.array([0.02, 0.01, -0.02, 0.1, 0.03])
-    poses = odometry_trajectory(keys, np.array([1.0, 2.0, 0.5])).poses + RNG.normal(0.0, 0.02, (len(keys), 3))
+    poses = odometry_trajectory(keys, np.array([1.0, 2.0, 0.5])).poses + RNG.normal(
+        0.0, 0.02, (len(keys), 3)
+    )
     _, jacobian = odometry_factor(keys, Trajectory(poses, bias))
-    by_bias = central_differences(lambda each: odometry_factor(keys, Trajectory(poses, each))[0], bias)
-    by_poses = central_differences(lambda each: odometry_factor(keys, Trajectory(each, bias))[0], poses)
+    by_bias = central_differences(
+        lambda each: odometry_factor(keys, Trajectory(poses, each))[0], bias
+    )
+    by_poses = central_differences(
+        lambda each: odometry_factor(keys, Trajectory(each, bias))[0], poses
+    )
     # The missed heading is spread along the step: second-order terms of it are left out.
     assert np.allclose(jacobian[:, :, 6:], by_bias, atol=1e-3)
     for row in range(len(keys) - 1):
@@ -140,8 +159,13 @@ def test_line_jacobian():
 
     def factor(unknowns):
         x, y, heading, turn, offset = unknowns
-        moved, seen = centre + offset * np.array([np.cos(angle), np.sin(angle)]), rotation(heading) @ place + [x, y]
-        return line_factor(np.array([[x, y, heading]]), seen[None], np.array([angle + turn]), moved[None])
+        moved, seen = (
+            centre + offset * np.array([np.cos(angle), np.sin(angle)]),
+            rotation(heading) @ place + [x, y],
+        )
+        return line_factor(
+            np.array([[x, y, heading]]), seen[None], np.array([angle + turn]), moved[None]
+        )
 
     unknowns = np.append(pose, [0.0, 0.0])
     wanted = central_differences(lambda each: factor(each)[0][0], unknowns)
@@ -150,7 +174,11 @@ def test_line_jacobian():
 
 def test_robust_factors_are_summed_with_their_weights():
     columns = np.array([[0, 1, 3], [0, 1, 4], [0, 1, 3], [2, 1, 4]])
-    jacobian, errors, equations = RNG.normal(size=(4, 3)), np.array([0.1, -0.4, 0.02, 3.0]), NormalEquations(5)
+    jacobian, errors, equations = (
+        RNG.normal(size=(4, 3)),
+        np.array([0.1, -0.4, 0.02, 3.0]),
+        NormalEquations(5),
+    )
     add_robust(equations, columns, jacobian, errors, 0.2, 2.0)
     wanted = np.zeros(5)
     for row, each, error in zip(columns, jacobian, errors, strict=True):
@@ -194,10 +222,15 @@ def test_normals_of_a_wall_point_to_the_sensor():
 def test_walls_of_a_window_are_found_with_their_points():
     generator = np.random.default_rng(2)
     along = np.sort(generator.uniform(0.0, 4.0, 60))
-    sides = [np.column_stack((along, np.full(60, y))) + generator.normal(0.0, 0.01, (60, 2)) for y in (1.0, -1.0)]
+    sides = [
+        np.column_stack((along, np.full(60, y))) + generator.normal(0.0, 0.01, (60, 2))
+        for y in (1.0, -1.0)
+    ]
     places = np.vstack(sides)
     normals = np.vstack((np.tile([0.0, -1.0], (60, 1)), np.tile([0.0, 1.0], (60, 1))))
-    lines = lines_in(places, normals, np.ones(120, dtype=bool), np.array([[0, 120]]), WallLineConfig())
+    lines = lines_in(
+        places, normals, np.ones(120, dtype=bool), np.array([[0, 120]]), WallLineConfig()
+    )
     assert len(lines.angles) == 2
     assert sorted(np.round(lines.centres[:, 1], 1)) == [-1.0, 1.0]
     assert np.bincount(lines.lines).tolist() == [60, 60]
@@ -226,7 +259,10 @@ def corner(generator, count=60):
     along = generator.uniform(-3.0, 3.0, count)
     aside = generator.uniform(-1.0, 2.0, count // 2)
     return np.vstack(
-        (np.column_stack((along, np.full(count, 2.0))), np.column_stack((np.full(len(aside), 3.0), aside)))
+        (
+            np.column_stack((along, np.full(count, 2.0))),
+            np.column_stack((np.full(len(aside), 3.0), aside)),
+        )
     )
 
 
@@ -237,7 +273,9 @@ def chunk_of(places):
 
 
 def score_at(chunk, points, pose):
-    """The mean of the cells at points, as shares of a hit; cells outside of the grid are unknown."""
+    """The mean of the cells at points, as shares of a hit; cells outside of the grid are
+    unknown.
+    """
     cells = np.floor((se2.transform_points(pose, points) - chunk.low) / chunk.cell).astype(int)
     inside = ((cells >= 0) & (cells < len(chunk.grid))).all(axis=1)
     return chunk.grid[tuple(cells[inside].T)].sum() / HIT / len(points)
@@ -247,7 +285,9 @@ def score_at(chunk, points, pose):
 def test_the_best_pose_of_a_window_is_found(seed):
     generator = np.random.default_rng(seed)
     chunk = chunk_of(corner(generator))
-    points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
+    points = thinned(
+        se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell
+    )
     window, guess = Window(1.3, np.radians(20.0), np.radians(5.0)), generator.normal(0.0, 0.2, 3)
     found = match(search_grid(chunk.grid, MAPS.cell, window.shift), points, guess, window, -1.0)
     best = NO_MATCH
@@ -281,10 +321,14 @@ def corridor(*ends):
     """A corridor of 8 m with end walls at these x, seen from its axis."""
     along = np.linspace(-4.0, 4.0, 160)
     walls = [np.column_stack((along, np.full(160, y))) for y in (-1.0, 1.0)]
-    return np.vstack((*walls, *[np.column_stack((np.full(40, x), np.linspace(-1.0, 1.0, 40))) for x in ends]))
+    return np.vstack(
+        (*walls, *[np.column_stack((np.full(40, x), np.linspace(-1.0, 1.0, 40))) for x in ends])
+    )
 
 
-@pytest.mark.parametrize(("ends", "std"), [((), (5.0, 20.0)), ((4.0,), (0.05, 0.3)), ((-4.0,), (0.05, 0.3))])
+@pytest.mark.parametrize(
+    ("ends", "std"), [((), (5.0, 20.0)), ((4.0,), (0.05, 0.3)), ((-4.0,), (0.05, 0.3))]
+)
 def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, std):
     places = corridor(*ends)
     origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
@@ -292,7 +336,10 @@ def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, s
     chunk = LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
     search, guess = search_grid(chunk.grid, MAPS.cell, 4.0), np.array([0.0, 0.0, 0.3])
     points = se2.transform_points(se2.inverse(guess), chunk.points)
-    turned = se2.transform_points(se2.inverse(guess), places), se2.transform_points(se2.inverse(guess), origins)
+    turned = (
+        se2.transform_points(se2.inverse(guess), places),
+        se2.transform_points(se2.inverse(guess), origins),
+    )
     back = search_grid(draw_grid(*turned, 4.5, MAPS), MAPS.cell, 4.0)
     _, covariance = match_covariance(search, points, guess, np.radians(3.0), (back, chunk.points))
     assert std[0] < np.sqrt(covariance[0, 0]) < std[1]
@@ -382,7 +429,8 @@ def test_wrong_loops_lose_their_weight(truth):
     generator = np.random.default_rng(4)
     hops, right = drifting(truth, bias=0.02), loops_of(truth, right_pairs(truth))
     wrong = [
-        Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7) for a in generator.integers(0, 30, 5)
+        Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7)
+        for a in generator.integers(0, 30, 5)
     ]
     with_wrong, weights = solve_annealed(truth[0], hops, right + wrong)
     without, _ = solve_annealed(truth[0], hops, right)
@@ -399,7 +447,9 @@ def test_covariance_of_a_chain_is_that_of_compounded_motions():
     covariance = np.zeros((3, 3))
     for row in range(3):
         by_pose, by_motion = se2.compose_jacobians(poses[row], hops.motions[row])
-        covariance = by_pose @ covariance @ by_pose.T + by_motion @ hops.covariances[row] @ by_motion.T
+        covariance = (
+            by_pose @ covariance @ by_pose.T + by_motion @ hops.covariances[row] @ by_motion.T
+        )
     assert np.allclose(joint[9:, 9:], covariance, atol=1e-6)
 
 
@@ -416,7 +466,10 @@ def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     truth = ring(laps=6)
     hops = drifting(truth, bias=0.0)
-    blank = [LocalMap(2.5 * n, np.zeros((0, 2)), np.zeros((2, 2), np.int8), 0.1) for n in range(len(truth))]
+    blank = [
+        LocalMap(2.5 * n, np.zeros((0, 2)), np.zeros((2, 2), np.int8), 0.1)
+        for n in range(len(truth))
+    ]
     graph = ChunkGraph(blank[0], truth[0])
     for newest in range(1, len(truth)):
         graph.add(blank[newest], hops.motions[newest - 1 : newest], hops.covariances[newest - 1])
@@ -430,17 +483,27 @@ def test_alignment_removes_what_moves_and_turns_all_positions():
     generator = np.random.default_rng(3)
     places = generator.normal(size=(40, 2)) * [6.0, 2.0]
     centred = places - places.mean(axis=0)
-    rigid = np.column_stack([np.tile([1.0, 0.0], 40), np.tile([0.0, 1.0], 40), centred[:, ::-1].ravel()])
+    rigid = np.column_stack(
+        [np.tile([1.0, 0.0], 40), np.tile([0.0, 1.0], 40), centred[:, ::-1].ravel()]
+    )
     rigid[0::2, 2] *= -1.0
     scattered = np.diag(generator.uniform(0.01, 0.02, 80))
     left = aligned_covariance(scattered + rigid @ np.diag([4.0, 1.0, 0.1]) @ rigid.T, places)
     assert left == pytest.approx(aligned_covariance(scattered, places), abs=1e-9)
     # Sampled positions have this error after alignment.
-    samples = places + np.sqrt(np.diag(scattered)).reshape(40, 2) * generator.normal(size=(4000, 40, 2))
+    samples = places + np.sqrt(np.diag(scattered)).reshape(40, 2) * generator.normal(
+        size=(4000, 40, 2)
+    )
     errors = []
     for sample in samples:
         turn = np.arctan2(
-            *np.sum([[a * d - b * c, a * c + b * d] for (a, b), (c, d) in zip(sample, centred, strict=True)], axis=0)
+            *np.sum(
+                [
+                    [a * d - b * c, a * c + b * d]
+                    for (a, b), (c, d) in zip(sample, centred, strict=True)
+                ],
+                axis=0,
+            )
         )
         cos, sin = np.cos(turn), np.sin(turn)
         moved = (sample - sample.mean(axis=0)) @ np.array([[cos, sin], [-sin, cos]])

@@ -1,4 +1,6 @@
-"""The graph of local maps on whole logs: at the end, while a log is driven, and when odometry misses reversing."""
+"""The graph of local maps on whole logs: at the end, while a log is driven, and when odometry
+misses reversing.
+"""
 
 import re
 from dataclasses import replace
@@ -29,7 +31,9 @@ CONFIG = GraphConfig()
 
 
 def first_events(log, count):
-    return replace(log, **{name: getattr(log, name)[:count] for name in ("time", "odometry", "ranges", "hit")})
+    return replace(
+        log, **{name: getattr(log, name)[:count] for name in ("time", "odometry", "ranges", "hit")}
+    )
 
 
 def smooth_log(log, start, config=None, report=lambda _: None):
@@ -123,7 +127,9 @@ START = np.array([1.0, 1.0, 0.0])
 def there_and_back(robot=SIX_BEAMS, noise=0.01):
     """A log with true odometry: ahead to a corner, back and round it, back twice more, and on."""
     turned = turn(90.0, robot)
-    wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turned + straight(3.0) + STOP
+    wheels = (
+        straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turned + straight(3.0) + STOP
+    )
     wheels += straight(-0.6) + STOP + straight(1.2) + STOP + straight(-0.6) + STOP + straight(3.0)
     return recorded_drive(walls(), wheels, robot, noise)
 
@@ -134,7 +140,9 @@ def recorded_drive(world, wheels, robot=SIX_BEAMS, noise=0.01):
     ranges = np.array([observations[row]["ranges"] for row in rows], dtype=float)
     hit = (ranges > robot.too_near) & (ranges < robot.too_far)
     time = 0.1 * np.asarray(rows, dtype=float)
-    return LogData(time, poses[rows], ranges, hit, robot.beam_origins, robot.beam_angles, 5.0, noise)
+    return LogData(
+        time, poses[rows], ranges, hit, robot.beam_origins, robot.beam_angles, 5.0, noise
+    )
 
 
 def without_signs(log):
@@ -148,16 +156,29 @@ def without_signs(log):
 def test_all_stretches_are_found(robot, fewest):
     signed = there_and_back(robot)
     recorded = without_signs(signed)
-    directed = with_reversing(recorded, replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=fewest)))
+    directed = with_reversing(
+        recorded, replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=fewest))
+    )
     assert reversed_distance(recorded, directed) == (pytest.approx(2.8, abs=0.3), 3)
     assert np.hypot(*(recorded.odometry - signed.odometry)[-1, :2]) > 3.0
     assert np.hypot(*(directed.odometry - signed.odometry)[-1, :2]) < 0.5
 
 
 def test_a_stretch_is_found_while_driving():
-    wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turn(90.0, SIX_BEAMS) + straight(6.0)
+    wheels = (
+        straight(9.8)
+        + STOP
+        + straight(-1.6)
+        + STOP
+        + straight(1.6)
+        + turn(90.0, SIX_BEAMS)
+        + straight(6.0)
+    )
     signed = recorded_drive(walls(), wheels)
-    log, config = without_signs(signed), replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1))
+    log, config = (
+        without_signs(signed),
+        replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1)),
+    )
     graph = OnlineGraph(log, log.odometry[0], config)
     for event in zip(log.time, log.odometry, log.ranges, log.hit, strict=True):
         graph.step(*event)
@@ -178,20 +199,26 @@ def test_a_drive_ahead_stays_as_it_is():
 
 
 def test_a_log_of_short_beams_is_not_judged():
-    # Beams of 1.5 m do not see the ground ahead of a stop, and driving back over known ground would fit better.
+    # Beams of 1.5 m do not see the ground ahead of a stop, and driving back over known ground would
+    # fit better.
     recorded = replace(without_signs(there_and_back()), max_range=1.5)
     assert with_reversing(recorded, CONFIG) is recorded
 
 
 def test_a_corridor_with_stops_stays_as_it_is():
-    # The known ground behind fits better than the new ground ahead, but nothing contradicts that the robot drove ahead.
-    corridor = np.vstack((room(0.0, 0.0, 24.0, 2.0), room(9.0, -0.3, 9.9, 0.0), room(14.0, 1.8, 15.0, 2.0)))
+    # The known ground behind fits better than the new ground ahead, but nothing contradicts that
+    # the robot drove ahead.
+    corridor = np.vstack(
+        (room(0.0, 0.0, 24.0, 2.0), room(9.0, -0.3, 9.9, 0.0), room(14.0, 1.8, 15.0, 2.0))
+    )
     wheels = straight(6.0) + STOP
     for length in (0.5, 0.4, 0.6, 3.0, 0.5, 0.4, 3.0):
         wheels += straight(length) + STOP
     log = recorded_drive(corridor, wheels)
     assert with_reversing(log, CONFIG) is log
-    by_score_alone = replace(CONFIG, reversing=replace(CONFIG.reversing, contradicted=0.0, fewest=1))
+    by_score_alone = replace(
+        CONFIG, reversing=replace(CONFIG.reversing, contradicted=0.0, fewest=1)
+    )
     assert reversed_distance(log, with_reversing(log, by_score_alone))[0] > 0.3
 
 
@@ -200,7 +227,9 @@ CUT = 400
 
 
 def driven(data, start, count):
-    """The graph after the first events, and at each: pose, covariance, whether there was a job, and position_std."""
+    """The graph after the first events, and at each: pose, covariance, whether there was a job, and
+    position_std.
+    """
     graph, found = OnlineGraph(data, start), []
     for row in range(count):
         graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
@@ -242,9 +271,13 @@ def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
     data, truth = corridor_log(laps=1, bias=BIAS)
     count, lost = 150, 90
     log = RecordedLog(
-        SIX_BEAMS, data.time[:count], data.ranges[:count].astype(np.float32), np.ones(count, dtype=bool), truth[0],
+        SIX_BEAMS,
+        data.time[:count],
+        data.ranges[:count].astype(np.float32),
+        np.ones(count, dtype=bool),
+        truth[0],
         odometry=data.odometry[:count],
-    )  # fmt: skip
+    )
     config, steps = preset("graph", NominalNoise(0.01)), []
     is_lost = property(lambda _: [Status("lost", "") if len(steps) > lost else Status()])
     monkeypatch.setattr(Mapper, "statuses", is_lost)

@@ -1,4 +1,6 @@
-"""The line smoother: its factors, its optimum, the readings it reassigns, and the map of its lines."""
+"""The line smoother: its factors, its optimum, the readings it reassigns, and the map of its
+lines.
+"""
 
 import math
 from dataclasses import replace
@@ -22,7 +24,11 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.measurement import read_share
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.factors import expected_readings, motion_jacobians, motions_between
+from limslam_agent.slam.line_graph.factors import (
+    expected_readings,
+    motion_jacobians,
+    motions_between,
+)
 from limslam_agent.slam.line_graph.line_merging import (
     ELSEWHERE,
     LEAST_SHARE,
@@ -41,10 +47,21 @@ from limslam_agent.slam.line_graph.line_merging import (
 )
 from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
-from limslam_agent.slam.line_graph.problem import CALIBRATION_PRIOR, RELATIVE_PRIOR, expected, state_from_poses
+from limslam_agent.slam.line_graph.problem import (
+    CALIBRATION_PRIOR,
+    RELATIVE_PRIOR,
+    expected,
+    state_from_poses,
+)
 from limslam_agent.slam.line_graph.reassociation import merge, reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map, tally
-from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, settle, smooth_run, smooth_with_unknown_start
+from limslam_agent.slam.line_graph.smoother import (
+    FilteredRun,
+    beside,
+    settle,
+    smooth_run,
+    smooth_with_unknown_start,
+)
 from limslam_env import NominalNoise
 from limslam_env.geometry import FloatArray, se2, segment
 
@@ -83,7 +100,10 @@ def test_derivatives_of_readings_are_differences(width):
     for column in range(5):
         change = np.zeros(5)
         change[column] = 1e-6
-        ends = [expected_at(pose + sign * change[:3], line + sign * change[3:]).ranges[0] for sign in (1.0, -1.0)]
+        ends = [
+            expected_at(pose + sign * change[:3], line + sign * change[3:]).ranges[0]
+            for sign in (1.0, -1.0)
+        ]
         assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
@@ -93,7 +113,8 @@ def test_covariances_are_those_of_a_dense_solution():
     # The equations are linearised at the state before the last step, which is the optimum here.
     solution = solve(problem, first.state, first.labels)
     covariances = solution.of_poses
-    # The same equations, with nothing eliminated: numerical derivatives of all residuals by all poses and lines.
+    # The same equations, with nothing eliminated: numerical derivatives of all residuals by all
+    # poses and lines.
     state, labels = solution.state, true_labels(problem, poses)
     steps, count = problem.steps, len(state.lines)
     jacobians = motion_jacobians(state.poses[0], ROBOT.axle)
@@ -113,7 +134,9 @@ def test_covariances_are_those_of_a_dense_solution():
         assert covariances[0, step] == pytest.approx(dense[block, block], rel=1e-3, abs=1e-12)
     # The joint covariance of the last pose and the lines, from which a renewal goes on.
     unknowns = solution.unknowns
-    columns = np.append(pose_columns(unknowns.ends[-1:]), np.arange(unknowns.first_line, unknowns.size))
+    columns = np.append(
+        pose_columns(unknowns.ends[-1:]), np.arange(unknowns.first_line, unknowns.size)
+    )
     rows = np.searchsorted(unknowns.kept, columns)
     joint = solution.covariance[np.ix_(rows, rows)]
     assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
@@ -122,7 +145,9 @@ def test_covariances_are_those_of_a_dense_solution():
 def numbered_row(problem, state, line, k):
     """Derivatives (5,) of one reading by its pose and its line."""
     pose = state.poses[0, problem.readings.places[k]]
-    found = expected_readings(pose[None], problem.beams[[k]], state.lines[[line]], state.anchors[[line]], 0.0)
+    found = expected_readings(
+        pose[None], problem.beams[[k]], state.lines[[line]], state.anchors[[line]], 0.0
+    )
     return np.append(found.by_pose[0], found.by_line[0])
 
 
@@ -132,8 +157,11 @@ def test_errors_are_as_large_as_the_covariances_say():
         problem, poses = noisy_run(seed)
         solution = smoothed(problem, poses)
         covariances = solution.of_poses
-        mean.append(nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0)
-    # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom, over 36.
+        mean.append(
+            nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0
+        )
+    # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom,
+    # over 36.
     assert 0.5 < np.mean(mean) < 1.6
 
 
@@ -153,7 +181,9 @@ def widened(problem, poses, width):
     state, labels = state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses)
     cosines = expected(problem, solve_labels(problem, state, labels).state, labels).cosines
     shares = [read_share(cosine, width) for cosine in cosines.tolist()]
-    return replace(problem, readings=replace(problem.readings, distances=problem.readings.distances * shares))
+    return replace(
+        problem, readings=replace(problem.readings, distances=problem.readings.distances * shares)
+    )
 
 
 def run_of(problem, poses, sensor):
@@ -162,20 +192,37 @@ def run_of(problem, poses, sensor):
     ranges, readings = np.tile(problem.robot.max_ranges, (steps, 1, 1)), problem.readings
     ranges[readings.places, 0, readings.beams] = readings.distances
     wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 1, 0)))
-    labels, sources = true_labels(problem, poses), np.column_stack((readings.places, readings.beams))
+    labels, sources = (
+        true_labels(problem, poses),
+        np.column_stack((readings.places, readings.beams)),
+    )
     members = [sources[labels == wall] for wall in range(labels.max() + 1)]
-    records = [AssociationRecord(wall, is_new=True, readings=each) for wall, each in enumerate(members)]
+    records = [
+        AssociationRecord(wall, is_new=True, readings=each) for wall, each in enumerate(members)
+    ]
     return FilteredRun(
-        problem.robot, NominalNoise(0.02, WHEEL_VARIANCE), wheels, ranges, np.ones((steps, 1, beams), dtype=bool),
-        np.moveaxis(poses, 0, 1), np.zeros((steps, 1, 3, 3)), records, [], sensor=sensor,
-    )  # fmt: skip
+        problem.robot,
+        NominalNoise(0.02, WHEEL_VARIANCE),
+        wheels,
+        ranges,
+        np.ones((steps, 1, beams), dtype=bool),
+        np.moveaxis(poses, 0, 1),
+        np.zeros((steps, 1, 3, 3)),
+        records,
+        [],
+        sensor=sensor,
+    )
 
 
 def test_the_sensor_that_the_filter_found_is_taken_over():
     problem, poses = noisy_run(6, 0.0)
-    rough = replace(problem, sensor=FOUND).stds * np.random.default_rng(6).standard_normal(len(problem.readings))
+    rough = replace(problem, sensor=FOUND).stds * np.random.default_rng(6).standard_normal(
+        len(problem.readings)
+    )
     wide = widened(problem, poses, FOUND.cone).readings
-    measured = replace(problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough))
+    measured = replace(
+        problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough)
+    )
     found = settle(run_of(measured, poses, FOUND), CONFIG)
     assert found.problem.sensor == FOUND
     assert found.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
@@ -192,7 +239,10 @@ def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
     errors[:, 2] = se2.wrap_angle(errors[:, 2])
     assert np.hypot(*errors[:, :2].T).mean() < 0.1
     assert (
-        np.einsum("ti,ti->t", errors, np.linalg.solve(found.covariances[1:, 0], errors[..., None])[..., 0]).mean() < 6.0
+        np.einsum(
+            "ti,ti->t", errors, np.linalg.solve(found.covariances[1:, 0], errors[..., None])[..., 0]
+        ).mean()
+        < 6.0
     )
 
 
@@ -296,14 +346,18 @@ def test_five_readings_are_no_line() -> None:
     found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
     wall = np.flatnonzero(found.labels == 0)
     assert with_new_lines(problem, found.state, found.labels, wall).max() >= len(found.state.lines)
-    assert with_new_lines(problem, found.state, found.labels, wall[:5]).max() < len(found.state.lines)
+    assert with_new_lines(problem, found.state, found.labels, wall[:5]).max() < len(
+        found.state.lines
+    )
 
 
 UNSEEN = [np.inf, -np.inf]
 
 
 def parallel(behind, second, std=0.01, *, turned=False):
-    """Two lines along the x axis, the first read from y > 0, and the second, ``behind`` m below, from a side."""
+    """Two lines along the x axis, the first read from y > 0, and the second, ``behind`` m below,
+    from a side.
+    """
     lines = np.array([[0.0, 0.5 * np.pi], [0.0, -0.5 * np.pi if turned else 0.5 * np.pi]])
     anchors = np.array([[0.3, 0.0], [0.5, -behind]])
     seen = np.array([[UNSEEN, UNSEEN], [UNSEEN, UNSEEN]])
@@ -347,7 +401,9 @@ def test_lengths_of_boards_and_walls(turned):
 @pytest.mark.parametrize("behind", [-0.1, 0.0, 0.06, 0.2, 0.4])
 @pytest.mark.parametrize("std", [0.02, 0.1, 0.6])
 def test_the_evidence_is_the_ratio_of_the_likelihoods(behind: float, std: float) -> None:
-    of_walls = quad(lambda thick: norm.pdf(behind, thick, std), THINNEST, THICKEST, points=[behind])[0]
+    of_walls = quad(
+        lambda thick: norm.pdf(behind, thick, std), THINNEST, THICKEST, points=[behind]
+    )[0]
     wanted = norm.pdf(behind, 0.0, std) / (of_walls / (THICKEST - THINNEST) + ELSEWHERE)
     assert board_evidence(behind, std**2) == pytest.approx(math.log(wanted), rel=1e-6, abs=1e-6)
 
@@ -373,7 +429,9 @@ def test_a_building_has_mostly_one_kind_of_walls() -> None:
 
 def truth(seed, noise=0.02, **changes):
     problem, poses = noisy_run(seed, noise, **changes)
-    labels = true_labels(problem, poses, **({"walls": changes["walls"]} if "walls" in changes else {}))
+    labels = true_labels(
+        problem, poses, **({"walls": changes["walls"]} if "walls" in changes else {})
+    )
     return solve_labels(problem, state_from_motions(problem), labels)
 
 
@@ -383,7 +441,9 @@ def test_beams_that_go_through_a_wall_are_counted():
     moved = found.state.lines.copy()
     line, anchor = found.state.lines[0], found.state.anchors[0]
     moved[0, 0] += 0.4 if anchor @ [np.cos(line[1]), np.sin(line[1])] < 1.0 else -0.4
-    wrong = replace(found, solution=replace(found.solution, state=replace(found.state, lines=moved)))
+    wrong = replace(
+        found, solution=replace(found.solution, state=replace(found.state, lines=moved))
+    )
     assert tally(wrong)[1] > 100
 
 
@@ -408,13 +468,23 @@ def test_landmarks_lie_where_their_covariances_say():
     for seed in range(6):
         found = truth(20 + seed, 0.02)
         for mark in smoothed_map(found)[0]:
-            wanted = min(TRUE_LINES, key=lambda line, mark=mark: abs(line[0] - mark.r) + abs(turn(line[1], mark.theta)))
+            wanted = min(
+                TRUE_LINES,
+                key=lambda line, mark=mark: abs(line[0] - mark.r) + abs(turn(line[1], mark.theta)),
+            )
             off = np.array([mark.r - wanted[0], turn(mark.theta, wanted[1])])
             squared.append(off @ np.linalg.solve(mark.covariance, off))
     assert 0.4 < np.mean(squared) / 2.0 < 2.0
 
 
-TRUE_LINES = [(0.0, -0.5 * np.pi), (0.0, 0.5 * np.pi), (3.0, 0.0), (2.4, 0.5 * np.pi), (0.0, 0.0), (0.0, np.pi)]
+TRUE_LINES = [
+    (0.0, -0.5 * np.pi),
+    (0.0, 0.5 * np.pi),
+    (3.0, 0.0),
+    (2.4, 0.5 * np.pi),
+    (0.0, 0.0),
+    (0.0, np.pi),
+]
 
 
 def turn(first, second):

@@ -11,7 +11,12 @@ from support.drives import ranges_at
 
 from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.presets import ablated
-from limslam_agent.config.published import AssociationConfig, BufferConfig, LoopClosingConfig, PublishedConfig
+from limslam_agent.config.published import (
+    AssociationConfig,
+    BufferConfig,
+    LoopClosingConfig,
+    PublishedConfig,
+)
 from limslam_agent.slam.core.diagnostics import CandidateTest
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published import association
@@ -44,12 +49,16 @@ def ends_in_world(pose: FloatArray, beams: list[int]) -> FloatArray:
     return np.array(points)
 
 
-increments = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.4, 0.4)).map(lambda motion: se2.arc(*motion))
+increments = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.4, 0.4)).map(
+    lambda motion: se2.arc(*motion)
+)
 
 
 @settings(deadline=None, max_examples=50)
 @given(st.lists(increments, min_size=1, max_size=20))
-def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(motions: list[FloatArray]) -> None:
+def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(
+    motions: list[FloatArray],
+) -> None:
     pose = np.array([1.0, -2.0, 2.5])
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=100.0))
     buffer.add(RANGES, ALL, ALL, 0)
@@ -92,17 +101,24 @@ def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> No
 CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
 MAX_RANGE = 1.6
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
-# start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the origin.
+# start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the
+# origin.
 PLACES = [(2.0, -1.0, 2.5), (0.0, 0.499, 3.1)]
 
 
-def sure(_line: FloatArray, _covariance: FloatArray, _landmark: int) -> tuple[FloatArray, FloatArray]:
+def sure(
+    _line: FloatArray, _covariance: FloatArray, _landmark: int
+) -> tuple[FloatArray, FloatArray]:
     """An innovation that lets every pair through: only the exclusions decide."""
     return np.zeros(2), np.eye(2)
 
 
-def observed(start: tuple[float, float], end: tuple[float, float], *beam_origins: tuple[float, float]) -> ObservedLine:
-    """A wall seen from ``start`` to ``end`` in the robot's frame, by beams from straight before it unless said."""
+def observed(
+    start: tuple[float, float], end: tuple[float, float], *beam_origins: tuple[float, float]
+) -> ObservedLine:
+    """A wall seen from ``start`` to ``end`` in the robot's frame, by beams from straight before it
+    unless said.
+    """
     points = np.linspace(start, end, 10)
     line = line_geometry.through(np.array(start), np.array(end))
     toward = np.array([math.cos(line[1]), math.sin(line[1])])
@@ -116,7 +132,9 @@ def landmarks(
     pose: FloatArray, *walls: tuple[float, float, float, float], opposite: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Lines (N, 2) and segments (N, 4) in the world of walls given in the robot's frame."""
-    segments = np.array([se2.transform_points(pose, np.reshape(wall, (2, 2))).ravel() for wall in walls])
+    segments = np.array(
+        [se2.transform_points(pose, np.reshape(wall, (2, 2))).ravel() for wall in walls]
+    )
     lines = np.array([line_geometry.through(segment[:2], segment[2:]) for segment in segments])
     if opposite:
         lines = np.column_stack((-lines[:, 0], lines[:, 1] + math.pi))
@@ -133,22 +151,30 @@ SCENES = {
     # Beside a long observation that its few last beams alone reach.
     "seen by too few": (observed((-1.2, 0.5), (0.6, 0.5)), (0.4, 0.6, 1.0, 0.6), "hidden"),
     # Observed to the left and a landmark that is crossed on the right only.
-    "behind the robot": (observed((-0.3, 0.15), (0.3, 0.15), (0.0, 0.1)), (-0.3, -0.15, 0.3, -0.15), "hidden"),
+    "behind the robot": (
+        observed((-0.3, 0.15), (0.3, 0.15), (0.0, 0.1)),
+        (-0.3, -0.15, 0.3, -0.15),
+        "hidden",
+    ),
     # Points of a long way back: their wall's continuation is near them, but out of sight from here.
     "out of range": (observed((-2.2, 0.5), (-1.8, 0.5)), (-3.5, 0.5, -2.4, 0.5), "range"),
     "turned by 30 degrees": (WALL_AHEAD, (0.05, 0.35, 0.55, 0.64), "direction"),
     "parallel, 0.5 m farther": (WALL_AHEAD, (0.0, 1.0, 0.6, 1.0), "direction"),
-}  # fmt: skip
+}
 TESTS = association.passed_tests
 EXCLUSIONS = ("ends", "hidden", "range", "direction")
 
 
 def possible(tests: list[CandidateTest]) -> list[int]:
     """The landmarks that are not excluded, nearest first."""
-    return [test.landmark for test in sorted(tests, key=lambda test: test.distance) if not test.excluded]
+    return [
+        test.landmark for test in sorted(tests, key=lambda test: test.distance) if not test.excluded
+    ]
 
 
-def matched(observation: ObservedLine, pose: FloatArray, lines: FloatArray, segments: FloatArray) -> list[int]:
+def matched(
+    observation: ObservedLine, pose: FloatArray, lines: FloatArray, segments: FloatArray
+) -> list[int]:
     return possible(associate(observation, pose, lines, segments, sure, MAX_RANGE, CONFIG))
 
 
@@ -162,10 +188,15 @@ def test_one_exclusion_alone_keeps_the_pair_apart(
     pose = np.array(place)
     lines, segments = landmarks(pose, wall, opposite=opposite)
     assert matched(observation, pose, lines, segments) == []
-    # Without any of the other three the pair is still ruled out, and without this one it goes through.
+    # Without any of the other three the pair is still ruled out, and without this one it goes
+    # through.
     for other in EXCLUSIONS:
         with monkeypatch.context() as patch:
-            patch.setattr(association, "passed_tests", lambda *of, off=other: TESTS(*of) | {off: np.array([True])})
+            patch.setattr(
+                association,
+                "passed_tests",
+                lambda *of, off=other: TESTS(*of) | {off: np.array([True])},
+            )
             assert len(matched(observation, pose, lines, segments)) == (other == exclusion)
 
 
@@ -180,7 +211,9 @@ SEEN_AGAIN = {
 @pytest.mark.parametrize("opposite", [False, True], ids=["", "landmark in its other form"])
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("scene", SEEN_AGAIN)
-def test_a_wall_seen_again_passes_all_four(scene: str, place: tuple[float, float, float], opposite: bool) -> None:
+def test_a_wall_seen_again_passes_all_four(
+    scene: str, place: tuple[float, float, float], opposite: bool
+) -> None:
     observation, wall = SEEN_AGAIN[scene]
     pose = np.array(place)
     lines, segments = landmarks(pose, wall, opposite=opposite)
@@ -188,19 +221,24 @@ def test_a_wall_seen_again_passes_all_four(scene: str, place: tuple[float, float
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tuple[float, float, float]) -> None:
+def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(
+    place: tuple[float, float, float],
+) -> None:
     pose = np.array(place)
     walls = [(0.0, 0.5 + offset, 0.6, 0.5 + offset) for offset in (0.11, 0.02, -0.08, -0.3)]
     lines, segments = landmarks(pose, *walls)
     ekf = LineEKF(pose, 1e-12 * np.eye(3))
     for line in lines:
         ekf.augment(line_geometry.to_frame(line, pose), 1e-12 * np.eye(2))
-    # The observation's sd is 2 cm: 0.11 m off is 30 in squared distance, 0.3 m is 225 and past the gate of 100.
+    # The observation's sd is 2 cm: 0.11 m off is 30 in squared distance, 0.3 m is 225 and past the
+    # gate of 100.
     observation = replace(WALL_AHEAD, covariance=np.diag([4e-4, 1e-3]))
     found = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, CONFIG)
     assert possible(found) == [1, 2, 0]
     assert [test.distance for test in found] == pytest.approx([30.25, 1.0, 16.0, 225.0], rel=1e-3)
-    gated = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, replace(CONFIG, gate=10.0))
+    gated = associate(
+        observation, pose, lines, segments, ekf.innovation, MAX_RANGE, replace(CONFIG, gate=10.0)
+    )
     assert possible(gated) == [1]
 
 
@@ -222,14 +260,19 @@ def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_sw
 
 
 def walled_loop() -> tuple[FloatArray, FloatArray]:
-    """A round trip of a robot in a square corridor: true poses (n, 3), and the outer and inner walls (8, 4)."""
+    """A round trip of a robot in a square corridor: true poses (n, 3), and the outer and inner
+    walls (8, 4).
+    """
     corners = np.array([[0.6, 0.6], [3.4, 0.6], [3.4, 3.4], [0.6, 3.4]])
     poses = []
     for side in range(5):
         start, end = corners[side % 4], corners[(side + 1) % 4]
         heading = se2.wrap_angle(float(np.pi / 2 * side))
         poses += [[*place, heading] for place in np.linspace(start, end, 140, endpoint=False)]
-        poses += [[*end, se2.wrap_angle(heading + turn)] for turn in np.linspace(0.0, np.pi / 2, 16, endpoint=False)]
+        poses += [
+            [*end, se2.wrap_angle(heading + turn)]
+            for turn in np.linspace(0.0, np.pi / 2, 16, endpoint=False)
+        ]
     outer = segment.polygon_edges(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]))
     inner = segment.polygon_edges(np.array([[1.2, 1.2], [2.8, 1.2], [2.8, 2.8], [1.2, 2.8]]))
     return np.array(poses), np.vstack((outer, inner))
@@ -242,7 +285,10 @@ def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str,
         ahead, _, turn = se2.compose(se2.inverse(before), pose)
         half = 0.5 * FOUR_BEAMS.axle * (turn + drift * ahead)
         observations.append(
-            {"ranges": ranges_at(pose, walls, FOUR_BEAMS), "wheels": np.array([ahead - half, ahead + half])}
+            {
+                "ranges": ranges_at(pose, walls, FOUR_BEAMS),
+                "wheels": np.array([ahead - half, ahead + half]),
+            }
         )
         before = pose
     return observations

@@ -1,4 +1,6 @@
-"""Other people's maps: read as what they show, or refused with file and reason; plans of real buildings are usable."""
+"""Other people's maps: read as what they show, or refused with file and reason; plans of real
+buildings are usable.
+"""
 
 import codecs
 import json
@@ -16,7 +18,11 @@ from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray, segment
 
 RADIUS = 0.10
-PLAN = {"id": "plan", "wall_thickness": 0.1, "walls": [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]}
+PLAN = {
+    "id": "plan",
+    "wall_thickness": 0.1,
+    "walls": [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]],
+}
 HOUSE = {
     "id": "house",
     "room_num": 1,
@@ -50,7 +56,10 @@ def levels(picture: str, largest: int = 255) -> np.ndarray:
 
 def binary_pgm(cells: np.ndarray, largest: int = 255) -> bytes:
     kind = ">u1" if largest < 256 else ">u2"
-    return b"P5\n%d %d\n%d\n" % (cells.shape[1], cells.shape[0], largest) + cells.astype(kind).tobytes()
+    return (
+        b"P5\n%d %d\n%d\n" % (cells.shape[1], cells.shape[0], largest)
+        + cells.astype(kind).tobytes()
+    )
 
 
 def plain_pgm(cells: np.ndarray, largest: int = 255) -> bytes:
@@ -75,11 +84,15 @@ def write_json(folder, table, name: str = "plan.json"):
 
 def segment_set(edges: FloatArray) -> set[frozenset[tuple[float, float]]]:
     """Segments without direction, to the micrometre."""
-    return {frozenset(map(tuple, pair.tolist())) for pair in np.round(edges.reshape(-1, 2, 2), 6) + 0.0}
+    return {
+        frozenset(map(tuple, pair.tolist())) for pair in np.round(edges.reshape(-1, 2, 2), 6) + 0.0
+    }
 
 
 def box(x1: float, y1: float, x2: float, y2: float) -> set[frozenset[tuple[float, float]]]:
-    return segment_set(np.array([[x1, y1, x2, y1], [x2, y1, x2, y2], [x2, y2, x1, y2], [x1, y2, x1, y1]]))
+    return segment_set(
+        np.array([[x1, y1, x2, y1], [x2, y1, x2, y2], [x2, y2, x1, y2], [x1, y2, x1, y1]])
+    )
 
 
 def obstacle_edges(world: World) -> FloatArray:
@@ -89,9 +102,12 @@ def obstacle_edges(world: World) -> FloatArray:
 class TestMapServer:
     def test_a_room_with_a_pillar_is_where_it_stands(self, tmp_path):
         world = load_world(write_map(tmp_path, ROOM))
-        # 10 x 6 cells of 0.5 m from (1, 2). Outlines run a quarter of a cell, 0.125 m, inside the occupied cells.
+        # 10 x 6 cells of 0.5 m from (1, 2). Outlines run a quarter of a cell, 0.125 m, inside the
+        # occupied cells.
         assert (world.name, world.size) == ("map", (5.0, 3.0))
-        assert segment_set(world.walls) == box(1.125, 2.125, 5.875, 4.875) | box(1.375, 2.375, 5.625, 4.625)
+        assert segment_set(world.walls) == box(1.125, 2.125, 5.875, 4.875) | box(
+            1.375, 2.375, 5.625, 4.625
+        )
         # The pillar: columns 3 to 5, rows 2 and 3 from the top: 2.5 to 4 m, and 3 to 4 m.
         assert segment_set(obstacle_edges(world)) == box(2.625, 3.125, 3.875, 3.875)
         assert len(world.obstacles) == 1
@@ -101,7 +117,9 @@ class TestMapServer:
         world = load_world(write_map(tmp_path, ROOM, origin=[1.0, 2.0, math.pi / 2]))
         # (u, v) of the picture becomes (1 - v, 2 + u).
         np.testing.assert_allclose(world.size, (3.0, 5.0))
-        assert segment_set(world.walls) == box(0.875, 2.125, -1.875, 6.875) | box(0.625, 2.375, -1.625, 6.625)
+        assert segment_set(world.walls) == box(0.875, 2.125, -1.875, 6.875) | box(
+            0.625, 2.375, -1.625, 6.625
+        )
         assert segment_set(obstacle_edges(world)) == box(-0.125, 3.625, -0.875, 4.875)
 
     @pytest.mark.parametrize(
@@ -119,7 +137,18 @@ class TestMapServer:
             plain_pgm(levels(ROOM)).replace(b"255\n", b"255\n# the first row # is all walls\n", 1),
             binary_pgm(levels(ROOM)) + b"\nwhat follows is another picture",
         ],
-        ids=["P2", "3 bits", "P2, 16 bits", "100", "1000", "byte order", "comments", "between", "within", "trailing"],
+        ids=[
+            "P2",
+            "3 bits",
+            "P2, 16 bits",
+            "100",
+            "1000",
+            "byte order",
+            "comments",
+            "between",
+            "within",
+            "trailing",
+        ],
     )
     def test_every_kind_of_pgm_shows_the_same_world(self, tmp_path, pgm):
         expected = load_world(write_map(tmp_path, ROOM))
@@ -140,11 +169,15 @@ class TestMapServer:
         assert segment_set(both.edges) == box(1.625, 2.125, 2.375, 2.875)
         assert upper.edges[:, [1, 3]].min() > 2.5
 
-    @pytest.mark.parametrize("changes", [{"mode": "trinary"}, {"mode": "scale"}, {"resolution": "5e-1"}, {"extra": 1}])
+    @pytest.mark.parametrize(
+        "changes", [{"mode": "trinary"}, {"mode": "scale"}, {"resolution": "5e-1"}, {"extra": 1}]
+    )
     def test_what_changes_no_wall_is_read_alike(self, tmp_path, changes):
         expected = load_world(write_map(tmp_path, ROOM))
         path = write_map(tmp_path, ROOM, **changes)
-        path.write_text(path.read_text(encoding="utf-8").replace("'5e-1'", "5e-1"), encoding="utf-8")
+        path.write_text(
+            path.read_text(encoding="utf-8").replace("'5e-1'", "5e-1"), encoding="utf-8"
+        )
         assert load_world(path) == expected
 
     def test_the_image_may_lie_in_another_folder(self, tmp_path):
@@ -163,7 +196,9 @@ class TestMapServer:
             cells[column // 3 + 10 + thickness, column] = 0
         world = load_world(write_map(tmp_path, binary_pgm(cells)))
         assert len(world.edges) == 4
-        assert np.sort(segment.lengths(world.edges))[2:] == pytest.approx(0.5 * math.hypot(109, 36), abs=0.75)
+        assert np.sort(segment.lengths(world.edges))[2:] == pytest.approx(
+            0.5 * math.hypot(109, 36), abs=0.75
+        )
 
 
 def yaml_with(line: str) -> str:
@@ -261,13 +296,19 @@ class TestPlans:
             "size": world.size,
             "walls": world.walls.tolist(),
             "obstacles": [polygon.tolist() for polygon in world.obstacles],
-            **{key: getattr(world, key).tolist() for key in ("doors", "starts", "loop") if len(getattr(world, key))},
+            **{
+                key: getattr(world, key).tolist()
+                for key in ("doors", "starts", "loop")
+                if len(getattr(world, key))
+            },
         }
         assert load_world(write_json(tmp_path, table)) == world
 
     def test_walls_without_length_are_dropped(self, tmp_path):
         walls = [*PLAN["walls"][:2], [1, 1, 1, 1], *PLAN["walls"][2:], [2, 2, 2 + 1e-7, 2]]
-        assert load_world(write_json(tmp_path, {**PLAN, "walls": walls})) == load_world(write_json(tmp_path, PLAN))
+        assert load_world(write_json(tmp_path, {**PLAN, "walls": walls})) == load_world(
+            write_json(tmp_path, PLAN)
+        )
 
     def test_a_house_is_its_closed_outline(self, tmp_path):
         world = load_world(write_json(tmp_path, HOUSE))
@@ -291,13 +332,25 @@ class TestPlans:
             (b"{}", "neither 'walls'.* nor 'verts'"),
             (b'{"id": "n", "walls": [[NaN, 0, 1, 1]]}', "not JSON: NaN is no number"),
             (b'{"id": "n", "walls": [[0, 0, 1e999, 1]]}', "walls reaches further than 500 m"),
-            (b'{"id": "n", "walls": [[0, 0, %s, 1]]}' % (b"9" * 400), "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [[0, 0, true, 1]]}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [[0, 0, 1, 1], [0, 0, 1]]}', r"walls\[1\] has 3 numbers, and walls\[0\] has 4"),
+            (
+                b'{"id": "n", "walls": [[0, 0, %s, 1]]}' % (b"9" * 400),
+                "walls must be a list of lists of numbers",
+            ),
+            (
+                b'{"id": "n", "walls": [[0, 0, true, 1]]}',
+                "walls must be a list of lists of numbers",
+            ),
+            (
+                b'{"id": "n", "walls": [[0, 0, 1, 1], [0, 0, 1]]}',
+                r"walls\[1\] has 3 numbers, and walls\[0\] has 4",
+            ),
             (b'{"id": "n", "walls": [[0, 0, 1]]}', "walls must have 4 numbers a row, not 3"),
             (b'{"id": "n", "walls": []}', "walls is empty"),
             (b'{"id": "n", "walls": [[0, 1, 2, 1]]}', "stand on one line and enclose nothing"),
-            (b'{"name": "n", "size": [1, 1], "walls": [[0, 0, 1, 1]], "start": [[0, 0, 0]]}', "unknown key 'start'"),
+            (
+                b'{"name": "n", "size": [1, 1], "walls": [[0, 0, 1, 1]], "start": [[0, 0, 0]]}',
+                "unknown key 'start'",
+            ),
             (b'{"id": 7, "walls": [[0, 0, 1, 1]]}', "id must be a text"),
             (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds an invalid character"),
             (b'{"id": "n", "verts": [[0, 0, 0]]}', "verts must have 2 numbers a row, not 3"),
@@ -318,7 +371,10 @@ class TestPlans:
 
     @pytest.mark.parametrize("name", ["map.png", "plan"])
     def test_other_files_are_refused_with_those_that_can_be_read(self, tmp_path, name):
-        with pytest.raises(ValueError, match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)"):
+        with pytest.raises(
+            ValueError,
+            match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)",
+        ):
             load_world(write_json(tmp_path, PLAN, name))
 
 
@@ -339,9 +395,16 @@ class TestRealPlans:
     @pytest.mark.parametrize(("radius", "turn"), [(0.07, 0.0), (0.25, 0.4)])
     def test_a_disc_fits_where_no_edge_is_near_and_no_polygon_around(self, radius, turn):
         generator = np.random.default_rng(3)
-        polygons = [generator.uniform(0.0, 4.0, 2) + generator.uniform(-1.0, 1.0, (n, 2)) for n in (3, 4, 7)]
+        polygons = [
+            generator.uniform(0.0, 4.0, 2) + generator.uniform(-1.0, 1.0, (n, 2)) for n in (3, 4, 7)
+        ]
         polygons.append(np.array([[0.5, 0.5], [1.0, 0.5], [1.0, 1.0], [0.5, 1.0]]))
-        walls = np.vstack((generator.uniform(0.0, 5.0, (20, 4)), [[0, 0, 5, 0], [0, 0, 0, 5], [2, 2, 2, 2.000002]]))
+        walls = np.vstack(
+            (
+                generator.uniform(0.0, 5.0, (20, 4)),
+                [[0, 0, 5, 0], [0, 0, 0, 5], [2, 2, 2, 2.000002]],
+            )
+        )
         rotation = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
         world = World(
             "n",
@@ -359,8 +422,27 @@ class TestRealPlans:
 
 
 NASTY = [
-    *("!!int ''", "0b_", "2001-99-99", "2001-01-01 0:0:0 +99:99", "&a [*a]", "[" * 2000, "1e999", "? [a]\n: b"),
-    *('"\\ud800"', '"\\0.pgm"', "9" * 5000, "190:20:30", "<<: {a: 1}", "%YAML 9.9\n---", "!<tag:x> y", "*a", "|\n a"),
+    *(
+        "!!int ''",
+        "0b_",
+        "2001-99-99",
+        "2001-01-01 0:0:0 +99:99",
+        "&a [*a]",
+        "[" * 2000,
+        "1e999",
+        "? [a]\n: b",
+    ),
+    *(
+        '"\\ud800"',
+        '"\\0.pgm"',
+        "9" * 5000,
+        "190:20:30",
+        "<<: {a: 1}",
+        "%YAML 9.9\n---",
+        "!<tag:x> y",
+        "*a",
+        "|\n a",
+    ),
     *(
         "null",
         "{}",
@@ -406,7 +488,9 @@ VALUES = st.recursive(
     | st.floats()
     | st.text(max_size=5)
     | st.sampled_from([10**400, -1, 0, 1, "map.pgm", "trinary"]),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=3), inner, max_size=3)
+    ),
     max_leaves=8,
 )
 ROWS = st.lists(st.lists(st.floats() | st.integers(-600, 600), max_size=5), max_size=5)
@@ -422,12 +506,18 @@ def test_any_json_value_is_a_world_or_refused(folder, key, value):
 @given(key=st.sampled_from([*MAP, "mode"]), value=VALUES)
 @settings(deadline=None, max_examples=100)
 def test_any_yaml_value_is_a_world_or_refused(folder, key, value):
-    outcome(folder / "map.yaml", yaml.safe_dump({**MAP, key: value}).encode("utf-8", "surrogatepass"))
+    outcome(
+        folder / "map.yaml", yaml.safe_dump({**MAP, key: value}).encode("utf-8", "surrogatepass")
+    )
 
 
 @pytest.mark.parametrize("nasty", NASTY, ids=range(len(NASTY)))
 def test_the_ways_to_upset_a_yaml_parser_upset_nothing(folder, nasty):
-    for content in (nasty, *(yaml_with(f"{key}: {nasty}") for key in MAP), f"{yaml_with('negate: 0')}\n{nasty}"):
+    for content in (
+        nasty,
+        *(yaml_with(f"{key}: {nasty}") for key in MAP),
+        f"{yaml_with('negate: 0')}\n{nasty}",
+    ):
         outcome(folder / "map.yaml", content.encode("utf-8", "surrogatepass"))
 
 

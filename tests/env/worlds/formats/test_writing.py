@@ -1,4 +1,6 @@
-"""Files of worlds: TOML and maps that read back as the same world, and pictures as they are read."""
+"""Files of worlds: TOML and maps that read back as the same world, and pictures as they are
+read.
+"""
 
 import io
 import stat
@@ -19,7 +21,9 @@ from limslam_env.worlds.formats.loading import write_world
 from limslam_env.worlds.formats.map_server import read_levels
 from limslam_env.worlds.formats.tables import parse_world, world_toml
 
-BOX = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
+BOX = np.array(
+    [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]]
+)
 
 
 def box_world(**changes) -> World:
@@ -31,7 +35,9 @@ ANY = st.floats(allow_nan=False, allow_infinity=False)
 
 
 def rows(width: int, numbers=LENGTHS, **limits):
-    return st.lists(st.tuples(*[numbers] * width), **limits).map(lambda found: np.array(found).reshape(-1, width))
+    return st.lists(st.tuples(*[numbers] * width), **limits).map(
+        lambda found: np.array(found).reshape(-1, width)
+    )
 
 
 @st.composite
@@ -73,7 +79,9 @@ class TestToml:
         assert load_world(tmp_path / "w.toml") == world
 
     def test_it_is_written_as_people_write_it(self):
-        world = box_world(walls=BOX[:2], obstacles=(np.array([[0.25, 0.25], [0.5, 0.25], [0.5, 1e-7]]),))
+        world = box_world(
+            walls=BOX[:2], obstacles=(np.array([[0.25, 0.25], [0.5, 0.25], [0.5, 1e-7]]),)
+        )
         assert world_toml(world) == (
             'name = "box"\n'
             "size = [1.0, 1.0]\n"
@@ -90,7 +98,15 @@ class TestToml:
 class TestMaps:
     def test_a_map_is_the_picture_that_it_should_be(self, tmp_path):
         # A room of 1 x 0.75 m, in which a short wall stands on the lower left; cells of 0.25 m.
-        walls = np.array([[0, 0, 1, 0], [1, 0, 1, 0.75], [1, 0.75, 0, 0.75], [0, 0.75, 0, 0], [0.25, 0, 0.25, 0.25]])
+        walls = np.array(
+            [
+                [0, 0, 1, 0],
+                [1, 0, 1, 0.75],
+                [1, 0.75, 0, 0.75],
+                [0, 0.75, 0, 0],
+                [0.25, 0, 0.25, 0.25],
+            ]
+        )
         write_world(box_world(walls=walls - 10.0), tmp_path / "map.yaml", resolution=0.25)
         picture = """
             ?????????????
@@ -106,10 +122,16 @@ class TestMaps:
             ?????????????
             ?????????????
         """
-        expected = [[{"#": 0, ".": 254, "?": 205}[letter] for letter in row] for row in picture.split()]
-        assert (tmp_path / "map.pgm").read_bytes() == b"P5\n13 12\n255\n" + np.array(expected, np.uint8).tobytes()
+        expected = [
+            [{"#": 0, ".": 254, "?": 205}[letter] for letter in row] for row in picture.split()
+        ]
+        assert (tmp_path / "map.pgm").read_bytes() == b"P5\n13 12\n255\n" + np.array(
+            expected, np.uint8
+        ).tobytes()
         # OpenCV reads it as we do, and the corner is four and a half cells from the walls.
-        np.testing.assert_array_equal(cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED), expected)
+        np.testing.assert_array_equal(
+            cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED), expected
+        )
         assert yaml.safe_load((tmp_path / "map.yaml").read_text(encoding="utf-8")) == {
             "image": "map.pgm",
             "resolution": 0.25,
@@ -163,7 +185,9 @@ class TestRefused:
 
     def test_more_cells_than_can_be_read(self, tmp_path):
         large = box_world(size=(500.0, 500.0), walls=BOX * 500.0)
-        with pytest.raises(ValueError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"):
+        with pytest.raises(
+            ValueError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"
+        ):
             write_world(large, tmp_path / "m.yaml", 0.001)
 
     @pytest.mark.parametrize("name", ["w.toml", "w.yaml"])
@@ -186,7 +210,10 @@ class TestRefused:
         assert {found.name for found in tmp_path.iterdir()} == {"w.toml", "other"}
 
 
-ABOUT = "image: {}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: {}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+ABOUT = (
+    "image: {}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: {}\noccupied_thresh: "
+    "0.65\nfree_thresh: 0.196\n"
+)
 
 
 def levels():
@@ -240,11 +267,16 @@ def huge_png(side):
     """A few hundred bytes whose header promises side x side pixels."""
 
     def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
     return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + chunk(b"IDAT", zlib.compress(bytes(1000)))
+        + chunk(b"IEND", b"")
     )
 
 

@@ -18,7 +18,8 @@ RADIUS = 0.10
 DEFAULT = FloorPlanConfig()
 TINY = FloorPlanConfig(width=3.0, height=3.0)
 FULL = FloorPlanConfig(loops=1.0, slanted=1.0, obstacles=20.0, corridor=1.0)
-# Every setting at its ends, and the settings that press hardest on one another. (config, radius, seeds)
+# Every setting at its ends, and the settings that press hardest on one another. (config, radius,
+# seeds)
 EXTREMES = {
     "default": (DEFAULT, RADIUS, 60),
     "a tree": (FloorPlanConfig(loops=0.0, slanted=0.0, obstacles=0.0, corridor=0.0), RADIUS, 20),
@@ -28,9 +29,17 @@ EXTREMES = {
     "tiny robot": (FULL, 0.035, 20),
     "large robot": (FULL, 0.20, 20),
     "narrowest doors": (replace(FULL, door_width=0.3, corridor_width=0.3), RADIUS, 20),
-    "smallest rooms": (replace(FULL, width=4.0, height=4.0, min_room=0.7, door_width=0.4), RADIUS, 20),
+    "smallest rooms": (
+        replace(FULL, width=4.0, height=4.0, min_room=0.7, door_width=0.4),
+        RADIUS,
+        20,
+    ),
     "long": (replace(FULL, width=12.0, height=3.0), RADIUS, 20),
-    "large things": (replace(FULL, obstacle_size=(0.2, 6.0), min_room=4.0, width=12.0, height=12.0), RADIUS, 20),
+    "large things": (
+        replace(FULL, obstacle_size=(0.2, 6.0), min_room=4.0, width=12.0, height=12.0),
+        RADIUS,
+        20,
+    ),
     "huge": (FloorPlanConfig(width=40.0, height=40.0), RADIUS, 1),
 }
 
@@ -59,7 +68,10 @@ def is_slanted(segments: FloatArray) -> np.ndarray:
 
 def apart(first: FloatArray, second: FloatArray) -> float:
     """Least distance (m) of two sets of segments that do not cross."""
-    ends = segment.distances(first.reshape(-1, 2), second).min(), segment.distances(second.reshape(-1, 2), first).min()
+    ends = (
+        segment.distances(first.reshape(-1, 2), second).min(),
+        segment.distances(second.reshape(-1, 2), first).min(),
+    )
     return float(min(ends))
 
 
@@ -80,14 +92,16 @@ def test_doors_are_truly_open_and_of_the_asked_width(name):
     for seed in range(min(seeds, 20)):
         world = plan(seed, config, radius)
         assert (
-            (segment.lengths(world.doors) >= narrowest - 1e-9) & (segment.lengths(world.doors) <= widest + 1e-9)
+            (segment.lengths(world.doors) >= narrowest - 1e-9)
+            & (segment.lengths(world.doors) <= widest + 1e-9)
         ).all()
         assert not is_slanted(world.doors).any()
         for door in world.doors:
             points, _ = segment.sample(door[None], 0.02)
             to_jambs = np.linalg.norm(points[:, None] - door.reshape(2, 2), axis=-1).min(axis=1)
             nearest = segment.distances(points, world.edges).min(axis=1)
-            # Nothing but the jambs is near, and both are there: the ends of two walls on the door's line.
+            # Nothing but the jambs is near, and both are there: the ends of two walls on the door's
+            # line.
             np.testing.assert_allclose(nearest, np.minimum(to_jambs, nearest.max()), atol=1e-9)
             assert nearest[0] < 1e-9
             assert nearest[-1] < 1e-9
@@ -105,7 +119,10 @@ def measures(corridor: float) -> Measures:
 
 def test_corridors_are_there_as_often_as_asked():
     def share(corridor: float) -> float:
-        plans = (layout((9000, 8000), measures(corridor), np.random.default_rng(seed))[0] for seed in range(100))
+        plans = (
+            layout((9000, 8000), measures(corridor), np.random.default_rng(seed))[0]
+            for seed in range(100)
+        )
         return sum(any(room.is_corridor for room in rooms) for rooms in plans) / 100
 
     assert share(0.0) == 0.0
@@ -123,7 +140,9 @@ def test_without_obstacles_there_are_none():
 
 
 def test_obstacles_are_as_many_as_asked_where_there_is_space():
-    config = FloorPlanConfig(width=20.0, height=20.0, min_room=9.0, corridor=0.0, slanted=0.0, obstacles=1.5)
+    config = FloorPlanConfig(
+        width=20.0, height=20.0, min_room=9.0, corridor=0.0, slanted=0.0, obstacles=1.5
+    )
     counts = [len(plan(seed, config).obstacles) for seed in range(30)]
     assert np.mean(counts) == pytest.approx(1.5 * 400.0 / 10.0, rel=0.05)
 
@@ -133,12 +152,17 @@ def test_obstacles_are_convex_of_three_to_eight_corners_and_of_the_asked_size():
     polygons = [
         polygon
         for seed in range(30)
-        for polygon in plan(seed, FloorPlanConfig(obstacles=4.0, obstacle_size=(low, high))).obstacles
+        for polygon in plan(
+            seed, FloorPlanConfig(obstacles=4.0, obstacle_size=(low, high))
+        ).obstacles
     ]
     assert {len(polygon) for polygon in polygons} == set(range(3, 9))
     for polygon in polygons:
         spans = np.roll(polygon, -1, axis=0) - polygon
-        turns = spans[:, 0] * np.roll(spans, -1, axis=0)[:, 1] - spans[:, 1] * np.roll(spans, -1, axis=0)[:, 0]
+        turns = (
+            spans[:, 0] * np.roll(spans, -1, axis=0)[:, 1]
+            - spans[:, 1] * np.roll(spans, -1, axis=0)[:, 0]
+        )
         assert (turns > 0.0).all(), "convex, counter-clockwise"
         across = np.linalg.norm(polygon[:, None] - polygon[None], axis=-1).max()
         assert 0.6 * low <= across <= high
@@ -149,7 +173,9 @@ def test_obstacles_keep_their_distance_from_all_but_one_wall(radius, size):
     clearance = 2.0 * radius + SPARE - 1e-9
     at_walls = 0
     for seed in range(10):
-        world = plan(seed, replace(FULL, width=7.0, height=6.0, min_room=6.0, obstacle_size=size), radius)
+        world = plan(
+            seed, replace(FULL, width=7.0, height=6.0, min_room=6.0, obstacle_size=size), radius
+        )
         for number, polygon in enumerate(world.obstacles):
             edges = segment.polygon_edges(polygon)
             to_walls = np.array([apart(edges, wall[None]) for wall in world.walls])
@@ -175,7 +201,9 @@ def test_coordinates_are_whole_millimetres_within_the_size():
 
 
 def test_sizes_are_drawn_from_their_ranges():
-    sizes = np.array([plan(seed, FloorPlanConfig(width=(4.0, 5.0), height=[7, 9])).size for seed in range(60)])
+    sizes = np.array(
+        [plan(seed, FloorPlanConfig(width=(4.0, 5.0), height=[7, 9])).size for seed in range(60)]
+    )
     assert (sizes.min(axis=0) >= [4.0, 7.0]).all()
     assert (sizes.max(axis=0) <= [5.0, 9.0]).all()
     assert (np.ptp(sizes, axis=0) > [0.8, 1.6]).all()
@@ -185,9 +213,15 @@ def test_a_plan_of_old_is_still_the_same():
     # Runs are compared by seed: whoever changes this changes everybody's benchmark.
     world = plan(0)
     assert world.size == (9.403, 8.548)
-    np.testing.assert_array_equal(world.walls[:2], [[0.0, 0.0, 8.644, 0.0], [8.644, 0.0, 9.403, 0.7]])
-    np.testing.assert_array_equal(world.doors[:2], [[6.239, 7.024, 6.239, 7.893], [2.159, 2.81, 2.989, 2.81]])
-    np.testing.assert_array_equal(world.obstacles[0][:3], [[0.971, 1.314], [0.858, 1.305], [0.775, 1.228]])
+    np.testing.assert_array_equal(
+        world.walls[:2], [[0.0, 0.0, 8.644, 0.0], [8.644, 0.0, 9.403, 0.7]]
+    )
+    np.testing.assert_array_equal(
+        world.doors[:2], [[6.239, 7.024, 6.239, 7.893], [2.159, 2.81, 2.989, 2.81]]
+    )
+    np.testing.assert_array_equal(
+        world.obstacles[0][:3], [[0.971, 1.314], [0.858, 1.305], [0.775, 1.228]]
+    )
     assert world.name == "random-bcefe473"
 
 
@@ -215,7 +249,11 @@ def test_settings_that_cannot_be_are_refused_in_one_line(settings, reason):
     ("settings", "radius", "reason"),
     [
         ({}, 0.3, "door_width 0.6 m is too narrow for a robot of 0.3 m radius, which needs 0.7 m"),
-        ({"door_width": 1.0, "corridor_width": (0.5, 2.0)}, 0.25, "corridor_width 0.5 m is too narrow"),
+        (
+            {"door_width": 1.0, "corridor_width": (0.5, 2.0)},
+            0.25,
+            "corridor_width 0.5 m is too narrow",
+        ),
         ({}, math.nan, "a robot's radius must be a positive length"),
     ],
 )
