@@ -1,18 +1,11 @@
 """What a range reading means. Live observations and all readers of logs use this one definition.
 
-==============================  ==================
-================================================================ reading
-becomes             meaning ==============================  ==================
-================================================================ ``+inf``                        the
-beam's maximum  Nothing was seen: the beam is free up to its maximum. the beam's maximum or more
-the beam's maximum  Nothing was seen. Examples are the 8190 mm of a time-of-flight
-                                                    chip and the 81.91 m of a CARMEN log.
-between minimum and maximum     itself              A surface at this distance.
-0 up to the beam's minimum      the beam's minimum  Something may be nearer than the sensor can
-measure. ``NaN``                         ``NaN``             No reading. It is skipped and counted.
-negative numbers and ``-inf``   ``NaN``             Nonsense. It is skipped and counted.
-==============================  ==================
-================================================================
+- ``+inf``, the beam's maximum or more become the maximum: nothing was seen, and the beam is free up
+  to its maximum. Examples are the 8190 mm of a time-of-flight chip and the 81.91 m of a CARMEN log.
+- Between minimum and maximum a reading stays as it is: a surface at this distance.
+- 0 up to the beam's minimum become the minimum: something may be too near to be measured.
+- ``NaN`` stays: there is no reading. It is skipped and counted.
+- Negative numbers and ``-inf`` become ``NaN``. They are skipped and counted.
 
 Some drivers report 0 where no echo came back, and other drivers report 0 where an object is too
 near. A reading of 0 therefore shows neither a wall nor free space: the map does not use it, and the

@@ -53,12 +53,14 @@ class Observation(TypedDict):
     maximum mean that nothing was seen, 0 up to the minimum means that something may be near, and
     NaN and negative numbers are skipped and counted. Recorded logs that hold poses instead of wheel
     travel give ``odometry`` (3,), the motion since the last observation in the robot's frame at
-    that time (m, m, rad), and leave ``wheels`` out.
+    that time (m, m, rad), and leave ``wheels`` out. ``yaw`` is the heading by an inertial
+    measurement unit, rad, counter-clockwise in a frame of its own, NaN where it has no reading.
     """
 
     ranges: NotRequired[NDArray[np.floating[Any]]]
     wheels: NotRequired[NDArray[np.floating[Any]]]
     odometry: NotRequired[NDArray[np.floating[Any]]]
+    yaw: NotRequired[float]
 
 
 def side_of(angle: float) -> Side:

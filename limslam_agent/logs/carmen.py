@@ -30,6 +30,7 @@ from limslam_agent.logs.recorded_log import (
 )
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
+from limslam_env.messages import counted
 
 # Most of these logs come from SICK lasers. Their largest readings, 8183 to 8191 counts of 1 mm or 1
 # cm, are codes for "no return" and for errors.
@@ -182,10 +183,20 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
     mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3)[scans])
     ranges = np.full((len(time), len(angles)), np.nan)
     ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, len(angles))[scans])
-    robot, untimed = _robot(angles, mount, max_range, time), int((~kept).sum())
-    return RecordedLog(
-        robot, time, ranges, has_scan, odometry=odometry, shifted=shifted, untimed=untimed
-    )
+    robot = _robot(angles, mount, max_range, time)
+    notes = _notes_of_times(shifted, int((~kept).sum()))
+    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry, notes=notes)
+
+
+def _notes_of_times(shifted: float, untimed: int) -> tuple[str, ...]:
+    """What was added to all times, s, and how many lines have impossible times, in words."""
+    notes = []
+    if shifted:
+        notes.append(f"the times begin at {-shifted:g} s; {shifted:g} s were added to all of them")
+    if untimed:
+        were = "were" if untimed > 1 else "was"
+        notes.append(f"{counted(untimed, 'line')} with a negative time {were} left out")
+    return tuple(notes)
 
 
 def _begins_below_zero(time: FloatArray) -> bool:

@@ -81,9 +81,12 @@ class RecordedLog:
         odometry or wheels.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
-    shifted, untimed
-        How much was added to all times because they began below 0, s; and the number of lines that
-        were left out because their times are impossible.
+    yaw
+        Heading by an inertial measurement unit (n,), rad, counter-clockwise, in a frame of its own;
+        NaN where it has no reading. None without such a sensor.
+    notes
+        What the reader has found and done, a line each, for the user: lines that were left out,
+        times that were moved.
     negative
         How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
@@ -101,8 +104,8 @@ class RecordedLog:
     odometry: FloatArray | None = None
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
-    shifted: float = 0.0
-    untimed: int = 0
+    yaw: FloatArray | None = None
+    notes: tuple[str, ...] = ()
     negative: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
@@ -124,6 +127,8 @@ class RecordedLog:
                 _check(name, array, (count, width))
         if self.true_pose is not None:
             _check("true_pose", self.true_pose, (count, 3))
+        if self.yaw is not None:
+            _check("yaw", self.yaw, (count,), finite=False)
         if self.odometry is not None:
             jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
             if np.any(jumps > LONGEST_JUMP):
@@ -156,6 +161,8 @@ class RecordedLog:
                 observation["odometry"] = moves[row].copy()
             elif self.wheels is not None:
                 observation["wheels"] = self.wheels[row].astype(np.float32)
+            if self.yaw is not None:
+                observation["yaw"] = float(self.yaw[row])
             if self.has_scan[row]:
                 observation["ranges"] = self.ranges[row].astype(np.float32)
             yield observation

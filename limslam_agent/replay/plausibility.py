@@ -10,7 +10,6 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
-from limslam_env.messages import counted
 
 _MOSTLY_NOTHING = (
     0.95  # share of readings that saw nothing, above which the ranges are probably not in metres
@@ -59,7 +58,7 @@ def log_warnings(log: RecordedLog) -> list[str]:
         *_about_negatives(log),
         *_about_beams(log),
     ]
-    return [*_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
+    return [*log.notes, *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -67,18 +66,6 @@ def map_warnings(replay: Replay) -> list[str]:
     if len(replay.segments):
         return []
     return [f"the map has 0 walls: {_why_no_walls(replay)}"]
-
-
-def _about_times(log: RecordedLog) -> list[str]:
-    found = []
-    if log.shifted:
-        found.append(
-            f"the times begin at {-log.shifted:g} s; {log.shifted:g} s were added to all of them"
-        )
-    if log.untimed:
-        were = "were" if log.untimed > 1 else "was"
-        found.append(f"{counted(log.untimed, 'line')} with a negative time {were} left out")
-    return found
 
 
 def _about_clock(log: RecordedLog) -> list[str]:

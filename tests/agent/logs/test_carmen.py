@@ -213,13 +213,13 @@ def test_a_single_line_before_the_clock_was_set_is_left_out(write: Any) -> None:
     assert log.time.tolist() == [1e9 + number for number in range(13)]
     assert log.has_scan.all()
     assert log.ranges.shape == (13, 6)
-    assert (log.untimed, log.shifted) == (2, 0.0)
+    assert log.notes == ("2 lines with a negative time were left out",)
 
 
 def test_a_clock_that_begins_below_zero_begins_at_zero(write: Any) -> None:
     log = read_log(write(*[scan(at=-2.5 + number) for number in range(12)]), SIX, 3.0)
     assert log.time.tolist() == [float(number) for number in range(12)]
-    assert (log.untimed, log.shifted) == (0, 2.5)
+    assert log.notes == ("the times begin at -2.5 s; 2.5 s were added to all of them",)
 
 
 # What is refused
