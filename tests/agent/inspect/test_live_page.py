@@ -6,7 +6,7 @@ import http.client
 
 import numpy as np
 import pytest
-from support.browser import CHROMIUM, browser
+from support.browser import browser, needs_chromium
 from support.command_line import limslam
 from support.drives import FOUR_BEAMS, laps_of_square
 from support.inspection import SHORT, short_run, unpacked
@@ -100,20 +100,20 @@ def test_the_address_is_printed(tmp_path):
     assert "watch       http://127.0.0.1:" in done.stderr
 
 
-@pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
-def test_the_page_follows_the_newest_moment(tmp_path):
-    with live_page("run") as page, browser(tmp_path / "profile") as chromium:
+@needs_chromium
+def test_the_page_follows_the_newest_moment():
+    with live_page("run") as page, browser() as chromium:
         drive = Drive(page)
         drive.on(30)
         chromium.open(page.address)
         chromium.wait_for("player.recording.frames === 30 && player.frame === 29")
         drive.on(50)
         chromium.wait_for("player.recording.frames === 80 && player.frame === 79")
-        chromium.press("Home")
+        chromium.page.keyboard.press("Home")
         drive.on(20)
         chromium.wait_for("player.recording.frames === 100")
         assert chromium.run("player.frame") == 0
-        chromium.press("End")
+        chromium.page.keyboard.press("End")
         drive.on(100)
         drive.mapper.finish()
         drive.follower.end()
