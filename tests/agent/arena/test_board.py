@@ -137,5 +137,17 @@ def test_a_name_shows_the_runs_of_its_entry_and_a_run_opens_in_the_inspector(ope
     assert "lost: not explored in time" in column_of(opened, "runs", 5)
     opened.page.click("#entries tbody tr:nth-child(1) td:nth-child(2) button")
     assert "limslam inspect" in column_of(opened, "runs", 13)[4]
+    headings = opened.run(
+        "[...document.querySelectorAll('#runs th')].map((cell) => cell.innerText)"
+    )
+    assert headings[6:13] == [
+        "80 % after, s",
+        "95 % after, s",
+        "Correct coverage",
+        "ATE, m",
+        "F1 at 5 cm",
+        "NEES/3",
+        "Touches",
+    ]
     opened.page.click("#runs tbody tr:nth-child(4) a")
     opened.wait_for("document.title === 'run 3'")
