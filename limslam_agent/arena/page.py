@@ -16,16 +16,16 @@ from limslam_agent.output.atomic_write import atomic_write
 INSPECTOR = "inspect.html"
 """The page that ``limslam inspect`` writes into the folder of a run."""
 
+# The metrics of a plan that the page shows: name, heading and decimals.
 _SHOWN = (
-    "time_to_80_s",
-    "plan_time_to_95_s",
-    "correct_coverage",
-    "ate_final_m",
-    "wall_f1_5cm",
-    "anees_final",
-    "touches",
+    ("time_to_80_s", "80 % after, s", 1),
+    ("plan_time_to_95_s", "95 % after, s", 1),
+    ("correct_coverage", "Correct coverage", 3),
+    ("ate_final_m", "ATE, m", 3),
+    ("wall_f1_5cm", "F1 at 5 cm", 3),
+    ("anees_final", "NEES/3", 3),
+    ("touches", "Touches", 0),
 )
-"""Metrics of a plan that the page shows."""
 
 # The columns of the text: heading, and name and decimals of a figure, or what is counted.
 _COLUMNS = {
@@ -131,7 +131,7 @@ def _row(row: Row, folder: Path, place: Path) -> dict[str, Any]:
         "robots": row.setting.get("robots"),
         "fault": row.setting.get("fault", ""),
         "lost": row.metrics.get("lost") or "",
-        **{name: row.metrics.get(name) for name in _SHOWN},
+        **{name: row.metrics.get(name) for name, _, _ in _SHOWN},
         "link": Path(os.path.relpath(inspector.absolute(), place)).as_posix()
         if inspector.is_file()
         else "",

@@ -1,9 +1,11 @@
 """Shows a recording in a browser while it grows: a server for this computer alone."""
 
+import re
+import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 from typing import Any
@@ -27,6 +29,16 @@ LEAST_PAUSE = 1.0
 
 SHARE = 0.05
 """Largest share of the time of a run that goes into the states of its recording."""
+
+_OWN_HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]+)?", re.IGNORECASE)
+"""Names by which a browser on this computer calls the server, with the port of a tunnel or none.
+
+Any other name could be a stranger's that was made to lead here, and the stranger's page could then
+read this one.
+"""
+
+_NUMBER = re.compile(r"[0-9]{0,18}")
+"""The number of a state in a request; empty for none."""
 
 _PATIENCE = 1.0
 """Seconds after which a page that waits for a new state is told that there is none."""
@@ -141,9 +153,8 @@ def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]
     """A page that is served on a free port while the context lasts, with the true walls (k, 4), m,
     if known.
     """
-    with ThreadingHTTPServer((HOST, 0), _Handler) as server:
-        server.daemon_threads = True
-        server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)  # type: ignore[attr-defined]
+    with _Server((HOST, 0), _Handler) as server:
+        server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)
         thread = threading.Thread(
             target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
@@ -156,26 +167,39 @@ def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]
             server.shutdown()
 
 
+class _Server(ThreadingHTTPServer):
+    """Serves one page in threads that do not outlive the program."""
+
+    daemon_threads = True
+    page: LivePage
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over a connection that the browser has closed; report what else failed."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
 class _Handler(BaseHTTPRequestHandler):
     """Answers the page: the page itself, and ``/recording?N``, the latest state unless its number
     is N.
     """
 
+    server: _Server
+
     def do_GET(self) -> None:
         """Answer a request."""
-        page: LivePage = self.server.page  # type: ignore[attr-defined]
+        page = self.server.page
         path, _, known = self.path.partition("?")
-        if (
-            f"http://{self.headers.get('Host', '')}/" != page.address
-        ):  # a name of somebody else that leads here
+        if not _OWN_HOST.fullmatch(self.headers.get("Host", "")):
             self.send_error(403)
         elif path == "/":
             self._send(page_of(page.title), "text/html; charset=utf-8")
+        elif path == "/recording" and not _NUMBER.fullmatch(known):
+            self.send_error(400)
         elif path == "/recording":
-            is_over = (
-                page.is_over
-            )  # asked before the state: what comes after the last one is nothing
-            version, text = page.newest(int(known) if known.isdecimal() else 0)
+            # Asked before the state: what comes after the last one is nothing.
+            is_over = page.is_over
+            version, text = page.newest(int(known or 0))
             self._send(
                 text,
                 "text/plain; charset=ascii",
@@ -197,6 +221,5 @@ class _Handler(BaseHTTPRequestHandler):
         }.items():
             self.send_header(name, value)
         self.send_header("Cache-Control", "no-store")
-        with suppress(OSError):  # the page was closed
-            self.end_headers()
-            self.wfile.write(content)
+        self.end_headers()
+        self.wfile.write(content)

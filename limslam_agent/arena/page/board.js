@@ -68,8 +68,6 @@ function entryColumns() {
   ];
 }
 
-const DIGITS = {time_to_80_s: 1, plan_time_to_95_s: 1, touches: 0};
-
 function runColumns() {
   const result = column('Result', (row) => row.lost, (row) => (row.lost ? element('span', `lost: ${row.lost}`, {class: 'lost'}) : 'explored'), true);
   const look = column('Inspector', (row) => row.link || row.folder, (row) => {
@@ -80,7 +78,7 @@ function runColumns() {
     plain('Plan', (row) => row.plan, 0), column('World', (row) => row.world, (row) => row.world, true),
     plain('Noise, m', (row) => row.noise, 2), plain('Robots', (row) => row.robots, 0),
     column('Fault', (row) => row.fault, (row) => row.fault, true), result,
-    ...board.shown.map((name) => plain(name, (row) => row[name], DIGITS[name] ?? 3)), look,
+    ...board.shown.map(([name, title, digits]) => plain(title, (row) => row[name], digits)), look,
   ];
 }
 

@@ -2,7 +2,7 @@
 
 import pytest
 from support.arena import MANIFEST, made_entry, made_results
-from support.browser import CHROMIUM, browser
+from support.browser import browser, needs_chromium
 from support.command_line import limslam
 
 from limslam_agent.arena.leaderboard import board
@@ -86,10 +86,8 @@ def test_the_command_writes_the_page_and_a_table(folders, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def chromium(tmp_path_factory):
-    if not CHROMIUM:
-        pytest.skip("there is no Chromium")
-    with browser(tmp_path_factory.mktemp("profile")) as found:
+def chromium():
+    with browser() as found:
         yield found
 
 
@@ -101,8 +99,6 @@ def opened(chromium, folders, tmp_path):
     (folders[1] / RUNS / "004").mkdir()
     (tmp_path / "site").mkdir()
     write_board(tmp_path / "site" / "board.html", board(folders))
-    chromium.errors.clear()
-    chromium.requests.clear()
     chromium.open(tmp_path / "site" / "board.html")
     yield chromium
     assert chromium.errors == []
@@ -117,6 +113,7 @@ def column_of(opened, table, number):
     return opened.run(cells)
 
 
+@needs_chromium
 def test_the_page_shows_entries_runs_and_curves(opened):
     assert column_of(opened, "entries", 1) == ["Fast", "Wrong <b>", "Slow"]
     assert column_of(opened, "entries", 0) == ["1", "2", "3"]
@@ -133,11 +130,24 @@ def test_the_page_shows_entries_runs_and_curves(opened):
     assert opened.run("plot.data[2].at(-1)") == 0.75
 
 
+@needs_chromium
 def test_a_name_shows_the_runs_of_its_entry_and_a_run_opens_in_the_inspector(opened):
-    opened.click("#entries tbody tr:nth-child(2) td:nth-child(2) button")
+    opened.page.click("#entries tbody tr:nth-child(2) td:nth-child(2) button")
     assert opened.run("document.getElementById('runs-title').textContent") == "Runs of Wrong <b>"
     assert "lost: not explored in time" in column_of(opened, "runs", 5)
-    opened.click("#entries tbody tr:nth-child(1) td:nth-child(2) button")
+    opened.page.click("#entries tbody tr:nth-child(1) td:nth-child(2) button")
     assert "limslam inspect" in column_of(opened, "runs", 13)[4]
-    opened.click("#runs tbody tr:nth-child(4) a")
+    headings = opened.run(
+        "[...document.querySelectorAll('#runs th')].map((cell) => cell.innerText)"
+    )
+    assert headings[6:13] == [
+        "80 % after, s",
+        "95 % after, s",
+        "Correct coverage",
+        "ATE, m",
+        "F1 at 5 cm",
+        "NEES/3",
+        "Touches",
+    ]
+    opened.page.click("#runs tbody tr:nth-child(4) a")
     opened.wait_for("document.title === 'run 3'")

@@ -3,10 +3,14 @@ moment.
 """
 
 import http.client
+import socket
+import struct
+import threading
+import time
 
 import numpy as np
 import pytest
-from support.browser import CHROMIUM, browser
+from support.browser import browser, needs_chromium
 from support.command_line import limslam
 from support.drives import FOUR_BEAMS, laps_of_square
 from support.inspection import SHORT, short_run, unpacked
@@ -43,7 +47,7 @@ class Drive:
 def asked(page, path, host=None):
     place = page.address.removeprefix("http://").rstrip("/")
     connection = http.client.HTTPConnection(place, timeout=30)
-    connection.request("GET", path, headers={"Host": host or place})
+    connection.request("GET", path, headers={"Host": place if host is None else host})
     answer = connection.getresponse()
     status, content, is_over = answer.status, answer.read(), answer.headers.get("X-Over") == "1"
     connection.close()
@@ -62,7 +66,52 @@ def test_the_server_answers_its_own_page_alone():
         assert "a &lt;run&gt;" in text
         assert asked(page, "/recording?0") == (200, "", False)
         assert asked(page, "/etc/passwd")[0] == 404
-        assert asked(page, "/", host="evil.example:80")[0] == 403
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        ("localhost", 200),
+        ("LocalHost:8080", 200),
+        ("127.0.0.1:9", 200),
+        ("[::1]:8080", 200),
+        ("evil.example:80", 403),
+        ("localhost.evil.example", 403),
+        ("evil.example:localhost", 403),
+        ("127.0.0.1.evil.example:80", 403),
+        ("localhost:80@evil.example", 403),
+        ("localhost:", 403),
+        ("", 403),
+    ],
+)
+def test_names_of_this_computer_are_answered_with_any_port(host, status):
+    """A tunnel has a port of its own, and a name of somebody else may be made to lead here."""
+    with live_page("run") as page:
+        assert asked(page, "/", host=host)[0] == status
+
+
+@pytest.mark.parametrize("number", ["5" * 5000, "5" * 19, "-1", "1.0", "x", "%31", "1?2"])
+def test_what_is_no_number_of_a_state_is_refused(number, capfd):
+    with live_page("run") as page:
+        assert asked(page, f"/recording?{number}")[0] == 400
+    assert capfd.readouterr().err == ""
+
+
+def test_a_browser_that_closes_its_connection_is_passed_over(capfd):
+    begun = (b"GET / HT", b"GET /recording?0 HTTP/1.1\r\nHost: localhost\r\n\r\n")
+    with live_page("run") as page:
+        port = int(page.address.rstrip("/").rpartition(":")[2])
+        count = threading.active_count()
+        for request in begun:
+            with socket.create_connection(("127.0.0.1", port)) as connection:
+                # Closed without a farewell.
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                connection.sendall(request)
+        assert asked(page, "/")[0] == 200
+        page.end()
+        while threading.active_count() > count:
+            time.sleep(0.01)
+    assert capfd.readouterr().err == ""
 
 
 def test_the_recording_grows():
@@ -100,20 +149,20 @@ def test_the_address_is_printed(tmp_path):
     assert "watch       http://127.0.0.1:" in done.stderr
 
 
-@pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
-def test_the_page_follows_the_newest_moment(tmp_path):
-    with live_page("run") as page, browser(tmp_path / "profile") as chromium:
+@needs_chromium
+def test_the_page_follows_the_newest_moment():
+    with live_page("run") as page, browser() as chromium:
         drive = Drive(page)
         drive.on(30)
         chromium.open(page.address)
         chromium.wait_for("player.recording.frames === 30 && player.frame === 29")
         drive.on(50)
         chromium.wait_for("player.recording.frames === 80 && player.frame === 79")
-        chromium.press("Home")
+        chromium.page.keyboard.press("Home")
         drive.on(20)
         chromium.wait_for("player.recording.frames === 100")
         assert chromium.run("player.frame") == 0
-        chromium.press("End")
+        chromium.page.keyboard.press("End")
         drive.on(100)
         drive.mapper.finish()
         drive.follower.end()

@@ -6,26 +6,24 @@ import json
 
 import numpy as np
 import pytest
-from support.browser import CHROMIUM, browser
+from support.browser import browser, needs_chromium
 from support.inspection import data_in, inspected, unpacked
 
 from limslam_agent.video.belief_frame import hough_image
 
-pytestmark = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
+pytestmark = needs_chromium
 
 FRAME = "player.frame"
 
 
 @pytest.fixture(scope="module")
-def chromium(tmp_path_factory):
-    with browser(tmp_path_factory.mktemp("profile")) as found:
+def chromium():
+    with browser() as found:
         yield found
 
 
 @pytest.fixture
 def opened(chromium, page):
-    chromium.errors.clear()
-    chromium.requests.clear()
     chromium.open(page)
     yield chromium
     assert chromium.errors == []
@@ -51,22 +49,22 @@ def test_the_page_begins_at_the_start_and_shows_both_pictures(opened):
 
 
 @pytest.mark.parametrize(
-    ("key", "shift", "expected"),
+    ("key", "expected"),
     [
-        ("ArrowRight", False, "51"),
-        ("ArrowLeft", False, "49"),
-        ("ArrowRight", True, "60"),
-        ("ArrowLeft", True, "40"),
-        ("Home", False, "0"),
-        ("End", False, "player.recording.frames - 1"),
-        ("PageDown", False, "player.recording.frameAt(player.list.beside(50, 1).t + 1e-3)"),
-        ("PageUp", False, "player.recording.frameAt(player.list.beside(50, -1).t + 1e-3)"),
+        ("ArrowRight", "51"),
+        ("ArrowLeft", "49"),
+        ("Shift+ArrowRight", "60"),
+        ("Shift+ArrowLeft", "40"),
+        ("Home", "0"),
+        ("End", "player.recording.frames - 1"),
+        ("PageDown", "player.recording.frameAt(player.list.beside(50, 1).t + 1e-3)"),
+        ("PageUp", "player.recording.frameAt(player.list.beside(50, -1).t + 1e-3)"),
     ],
 )
-def test_keys_step(opened, key, shift, expected):
+def test_keys_step(opened, key, expected):
     opened.run("player.stopAt(50)")
     expected = opened.run(expected)
-    opened.press(key, shift=shift)
+    opened.page.keyboard.press(key)
     assert opened.run(FRAME) == expected
 
 
@@ -135,9 +133,8 @@ def test_the_page_of_a_log_shows_the_belief_alone(chromium, tmp_path, run_folder
         del arrays[name]
     np.savez(tmp_path / "log.npz", **arrays)
     assert inspected(tmp_path / "log.npz", tmp_path / "page.html").returncode == 0
-    chromium.errors.clear()
     chromium.open(tmp_path / "page.html")
-    chromium.press("End")
+    chromium.page.keyboard.press("End")
     assert chromium.run("document.getElementById('truth')") is None
     assert chromium.run("document.querySelectorAll('#plots .uplot').length") == 3
     assert chromium.errors == []
