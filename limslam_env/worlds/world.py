@@ -53,6 +53,9 @@ class World:
         (s, 3): start poses of the robots. Empty: random starts.
     loop
         (l, 2): corners of a closed tour for driving laps. Empty: no tour.
+    notes
+        What the reader of a file has to say about it, one line each. They are no part of the world:
+        worlds that differ in them only are equal.
     """
 
     name: str
@@ -62,6 +65,7 @@ class World:
     doors: FloatArray = field(default_factory=lambda: no_rows(4))
     starts: FloatArray = field(default_factory=lambda: no_rows(3))
     loop: FloatArray = field(default_factory=lambda: no_rows(2))
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _check_name(self.name)

@@ -165,7 +165,7 @@ class TestMapServer:
         pgm = plain_pgm(np.array([[4, 4, 4, 4], [4, 1, 1, 4], [4, 2, 2, 4]]), 4)
         # Shades of 3/4 and 2/4 are above 0.4; 3/4 alone is above 0.5, which 2/4 is not.
         both = load_world(write_map(tmp_path, pgm, occupied_thresh=0.4))
-        upper = load_world(write_map(tmp_path, pgm, occupied_thresh=0.5))
+        upper = load_world(write_map(tmp_path, pgm, occupied_thresh=0.5, free_thresh=0.5))
         assert segment_set(both.edges) == box(1.625, 2.125, 2.375, 2.875)
         assert upper.edges[:, [1, 3]].min() > 2.5
 
@@ -218,7 +218,7 @@ class TestMapsRefused:
         ("text", "reason"),
         [
             (yaml_with("image: 3"), "image must be a file's name"),
-            (yaml_with("image: map.bmp"), r"image 'map\.bmp': not a \.pgm or \.png file"),
+            (yaml_with("image: map.gif"), r"image 'map\.gif': not a picture that can be read \(\.pgm,"),
             (yaml_with("image: other.pgm"), r"image 'other\.pgm': no such file"),
             (yaml_with('image: "nul\\0.pgm"'), r"image 'nul\\x00\.pgm': no such file"),
             (yaml_with("resolution: 0"), r"resolution must be a number from 0\.001 to 10"),
@@ -233,7 +233,7 @@ class TestMapsRefused:
             (yaml_with("negate: 0.5"), "negate must be 0 or 1"),
             (yaml_with("occupied_thresh: 1.5"), "occupied_thresh must be a number from 0 to 1"),
             (yaml_with("free_thresh: 0.7"), r"free_thresh must be a number from 0 to 0\.65"),
-            (yaml_with("negate: 0") + "\nmode: raw", "mode must be trinary or scale"),
+            (yaml_with("negate: 0") + "\nmode: grey", "mode must be one of trinary, scale, raw"),
             (yaml_with("origin: &a [*a, 0, 0]"), "neither aliases nor tags"),
             (yaml_with("image: !!python/object/apply:os.getcwd []"), "neither aliases nor tags"),
             ("[" * 90_000, "nested deeper than a map is"),
