@@ -121,6 +121,22 @@ Sharp = Annotated[
         "--sharp",
     ),
 ]
+MetresPerPixel = Annotated[
+    float | None,
+    told(_WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
+]
+MetresPerUnit = Annotated[
+    float | None,
+    told(_WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
+]
+Layers = Annotated[
+    str | None,
+    told(
+        _WORLD,
+        "Layers of a plan in SVG or DXF that are walls: A,B,...",
+        "those called walls or windows, or all",
+    ),
+]
 Log = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -157,9 +173,12 @@ class RunOptions(Bounded):
         told(
             _WORLD,
             "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor "
-            "plan, or a world file.",
+            "plan, or a world file, which may be a plan (.png, .jpg, .svg, .dxf).",
         ),
     ] = "env1"
+    metres_per_pixel: MetresPerPixel = None
+    metres_per_unit: MetresPerUnit = None
+    layers: Layers = None
     noise: Annotated[
         _Std, told(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.")
     ] = 0.02

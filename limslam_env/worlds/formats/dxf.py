@@ -37,8 +37,9 @@ def read_dxf(
     """
     with named(path):
         try:
-            from ezdxf import units
+            from ezdxf.enums import InsertUnits
             from ezdxf.filemanagement import readfile
+            from ezdxf.units import conversion_factor
         except ImportError as error:
             raise WorldError("a .dxf is read with ezdxf: pip install 'limslam[plans]'") from error
         if len(read_bytes(path, MAX_DRAWING_BYTES + 1)) > MAX_DRAWING_BYTES:
@@ -47,9 +48,9 @@ def read_dxf(
             )
         try:
             document = readfile(path)
-            metres = units.InsertUnits.Meters
-            kind = units.InsertUnits(document.units)
-            from_file = units.conversion_factor(kind, metres) if kind else Noneunit = unit_of(metres_per_unit, from_file)
+            kind = InsertUnits(document.units)
+            from_file = conversion_factor(kind, InsertUnits.Meters) if kind else None
+            unit = unit_of(metres_per_unit, from_file)
             strokes = _strokes(document, unit)
             return drawn_world(
                 path_name(path), strokes, wall_layers, is_unit_sure=metres_per_unit is not None

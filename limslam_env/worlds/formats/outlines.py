@@ -42,14 +42,21 @@ def outlines_of(occupied: BoolArray) -> tuple[FloatArray, list[FloatArray]]:
     for contour, (_, _, hole, around) in zip(contours, hierarchy[0], strict=True):
         is_solid = hole < 0 and around < 0
         corners = _corners_of(contour[:, 0].astype(np.int32), doubled, is_solid=is_solid)
-        placed = (corners + 0.5) / 2.0 + (columns[0], rows[0])
-        placed[:, 1] = len(occupied) - placed[:, 1]
+        placed = _placed(corners, (int(columns[0]), int(rows[0])), len(occupied))
         if is_solid and _is_simple(corners):
             polygons.append(placed)
         elif len(corners) > 1:
             # The outline of a thin wall is one line, there and back.
             walls.append(polygon_edges(placed)[: None if len(corners) > 2 else 1])
     return np.vstack(walls), polygons
+
+
+def _placed(corners: IntArray, first: tuple[int, int], height: int) -> FloatArray:
+    """Corners (k, 2), columns and rows of half cells, as x and y in cells, in a picture of a height
+    in cells. Column and row ``first`` of the picture are theirs.
+    """
+    cells = (corners + 0.5) / 2.0 + first
+    return np.column_stack((cells[:, 0], height - cells[:, 1]))
 
 
 def pieces_of(solid: BoolArray) -> list[FloatArray]:
@@ -76,10 +83,8 @@ def pieces_of(solid: BoolArray) -> list[FloatArray]:
             continue
         for contour in contours:
             corners = _corners_of(contour[:, 0].astype(np.int32), doubled, is_solid=True)
-            placed = (corners + 0.5) / 2.0 + (first, 0)
-            placed[:, 1] = len(solid) - placed[:, 1]
             if len(corners) >= 3:  # others have no area
-                found.append(placed)
+                found.append(_placed(corners, (first, 0), len(solid)))
     return found
 
 

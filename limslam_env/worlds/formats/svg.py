@@ -147,7 +147,7 @@ class _Drawing:
         if inner.looks.get("display") == "none":
             return
         if tag == "use":
-            link = element.get("href") or element.get(_LINK, "")
+            link = element.get("href") or element.get(_LINK) or ""
             target = self._by_id.get(link.removeprefix("#"))
             if target is not None:
                 yield from self._within(target, inner)
@@ -160,7 +160,7 @@ class _Drawing:
     def _inner(self, element: ET.Element, place: _Place) -> _Place:
         from svgpathtools.parser import parse_transform
 
-        looks = {name: element.get(name, "") for name in _LOOKS}
+        looks = {name: element.attrib.get(name, "") for name in _LOOKS}
         for name in element.get("class", "").split():
             looks |= self._classes.get(name, {})
         looks |= _declared(element.get("style", ""))
@@ -173,8 +173,8 @@ class _Drawing:
             shift = np.eye(3)
             shift[:2, 2] = [_pixels(element.get(key, "0")) for key in ("x", "y")]
             transform = transform @ shift
-        name = element.get(_LABEL) or element.get("id")
-        layers = (*place.layers, name) if name else place.layers
+        layer = element.get(_LABEL) or element.get("id")
+        layers = (*place.layers, layer) if layer else place.layers
         return _Place(transform, layers, {**place.looks, **looks}, place.depth + 1)
 
     def _strokes_of(self, tag: str, element: ET.Element, place: _Place) -> Iterator[Stroke]:
