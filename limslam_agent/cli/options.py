@@ -176,9 +176,6 @@ class RunOptions(Bounded):
             "plan, or a world file, which may be a plan (.png, .jpg, .svg, .dxf).",
         ),
     ] = "env1"
-    metres_per_pixel: MetresPerPixel = None
-    metres_per_unit: MetresPerUnit = None
-    layers: Layers = None
     noise: Annotated[
         _Std, told(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.")
     ] = 0.02
@@ -202,6 +199,9 @@ class RunOptions(Bounded):
     robots: Annotated[
         int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")
     ] = 1
+    metres_per_pixel: MetresPerPixel = None
+    metres_per_unit: MetresPerUnit = None
+    layers: Layers = None
     ablation: Annotated[
         str | None,
         told(

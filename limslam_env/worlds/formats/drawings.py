@@ -16,7 +16,7 @@ from limslam_env.worlds.world import MAX_EDGES, MAX_SIDE, SHORTEST_EDGE, World, 
 TOLERANCE = 0.01
 """Largest distance (m) between a curve and the straight walls in its place."""
 
-MAX_ELEMENTS = 200_000
+MAX_ELEMENTS = 100_000
 """Most elements of a drawing, counted as often as it repeats them."""
 
 MAX_DRAWING_BYTES = 20_000_000
@@ -77,13 +77,13 @@ def drawn_world(
         raise WorldError("it holds a number that is not finite")
     low = walls.reshape(-1, 2).min(axis=0)
     width, height = np.ptp(walls.reshape(-1, 2), axis=0).tolist()
+    if not min(width, height):
+        raise WorldError("its walls stand on one line and enclose nothing")
     if max(width, height) > MAX_SIDE or (max(width, height) < _SMALLEST and not is_unit_sure):
         raise WorldError(
             f"its walls measure {width:.3g} x {height:.3g} m: give the length of its unit, m, as "
             "in --metres-per-unit 0.001 for mm"
         )
-    if not min(width, height):
-        raise WorldError("its walls stand on one line and enclose nothing")
     corner = np.tile(low, 2)
     doors = _edges(
         stroke

@@ -115,7 +115,7 @@ class _Scale:
         suffix = Path(source).suffix.lower() if isinstance(source, str | os.PathLike) else ""
         for name, suffixes in _USES.items():
             if getattr(self, name) is not None and suffix not in suffixes:
-                raise WorldError(f"{source}: {name} is for files of {', '.join(suffixes)}")
+                raise WorldError(f"{source}: {name!r} is for files of {', '.join(suffixes)}")
 
 
 def _random_world(name: str) -> World:

@@ -40,7 +40,7 @@ _METRES = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254, "pt": 0.0254 / 72, "pc": 0.0254
 _PIXEL = 0.0254 / 96
 
 _DEEPEST = 60  # groups within groups
-_LONGEST_PATHS = 4_000_000  # letters: more are far more lines than a world has
+_LONGEST_PATHS = 2_000_000  # letters: more are far more lines than a world has
 
 
 def read_svg(
