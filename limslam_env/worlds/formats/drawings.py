@@ -21,6 +21,7 @@ MAX_ELEMENTS = 100_000
 
 MAX_DRAWING_BYTES = 20_000_000
 
+_FARTHEST = 1e9  # m, from the origin of a drawing; maps of countries have 1e7
 _SMALLEST = 2.0  # m; smaller drawings are a plan on paper
 _AT_WALL = 0.05  # m, between the end of a door and a wall
 _NAMED = 8  # layers in a note
@@ -73,8 +74,6 @@ def drawn_world(
     walls = _edges(stroke for stroke, kind in zip(drawn, kinds, strict=True) if kind == "wall")
     if not len(walls):
         raise WorldError("it has no lines that are walls")
-    if not np.isfinite(walls).all():
-        raise WorldError("it holds a number that is not finite")
     low = walls.reshape(-1, 2).min(axis=0)
     width, height = np.ptp(walls.reshape(-1, 2), axis=0).tolist()
     if not min(width, height):
@@ -94,13 +93,18 @@ def drawn_world(
 
 
 def _counted(strokes: Iterable[Stroke]) -> list[Stroke]:
-    """All strokes; a WorldError as soon as there are too many."""
-    found, edges = [], 0
-    for stroke in islice(strokes, MAX_ELEMENTS):
-        found.append(stroke)
-        edges += len(stroke.corners) - 1
-        if edges > MAX_EDGES:
-            break
+    """All strokes; a WorldError as soon as there are too many, or one is too far away."""
+    found = []
+    edges = 0
+    # What overflows on the way is refused here.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for stroke in islice(strokes, MAX_ELEMENTS):
+            if not (np.abs(stroke.corners) <= _FARTHEST).all():
+                raise WorldError("it holds a number that is too large")
+            found.append(stroke)
+            edges += len(stroke.corners) - 1
+            if edges > MAX_EDGES:
+                break
     if edges > MAX_EDGES or len(found) == MAX_ELEMENTS:
         raise WorldError(f"more than {MAX_EDGES} lines: save the layers of walls only")
     return found
@@ -156,12 +160,11 @@ def _edges(strokes: Iterable[Stroke]) -> FloatArray:
     """The lines (n, 4) between the corners of strokes, those without length left out."""
     lines = [np.hstack((stroke.corners[:-1], stroke.corners[1:])) for stroke in strokes]
     edges = np.vstack((no_rows(4), *lines))
-    # What is not finite has no length that could be compared, and is named later.
-    return np.asarray(edges[~(lengths(edges) < SHORTEST_EDGE)])
+    return np.asarray(edges[lengths(edges) >= SHORTEST_EDGE])
 
 
 def _is_opening(corners: FloatArray, walls: FloatArray) -> bool:
     """Whether corners (k, 2) are a line that joins walls (n, 4), and no leaf of a door."""
-    if len(corners) != 2 or not np.isfinite(corners).all():
+    if len(corners) != 2:
         return False
     return bool((distances(corners, walls).min(axis=1) <= _AT_WALL).all())

@@ -1,5 +1,6 @@
 """Worlds from drawings in DXF, as CAD programs write them (extra ``plans``)."""
 
+import logging
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -18,6 +19,9 @@ from limslam_env.worlds.formats.drawings import (
 from limslam_env.worlds.formats.pictures import path_name
 from limslam_env.worlds.formats.tables import read_bytes
 from limslam_env.worlds.world import MAX_EDGES, World, WorldError, named
+
+# What ezdxf mends in a drawing is of no use on a user's screen.
+logging.getLogger("ezdxf").addHandler(logging.NullHandler())
 
 _LINES = frozenset(
     ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "SOLID", "TRACE")
@@ -59,7 +63,7 @@ def read_dxf(
         except Exception as error:
             if isinstance(error, WorldError):
                 raise
-            raise WorldError(f"cannot be read: {error or type(error).__name__}") from error
+            raise WorldError(f"cannot be read: {str(error) or type(error).__name__}") from error
 
 
 def _strokes(document: Any, unit: float) -> Iterator[Stroke]:

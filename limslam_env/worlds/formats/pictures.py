@@ -71,6 +71,8 @@ def read_picture(path: Path) -> Picture:
             Image.open(io.BytesIO(content), formats=[_FORMATS[suffix]]) as image,
         ):
             return _pixels(image)
+    except Image.DecompressionBombError as error:
+        raise WorldError(f"more than the {MAX_PIXELS} pixels that can be read") from error
     # Damaged pictures raise errors of many types: SyntaxError, struct.error, zlib.error and others.
     except Exception as error:
         if isinstance(error, WorldError):

@@ -166,9 +166,12 @@ class _Drawing:
         looks |= _declared(element.get("style", ""))
         looks = {name: value for name, value in looks.items() if value not in {"", "inherit"}}
         try:
-            transform = place.transform @ parse_transform(element.get("transform", ""))
-        except (ValueError, IndexError, TypeError) as error:
+            # The library warns about a part of a transformation that it does not know.
+            with warnings.catch_warnings(action="error"):
+                own = parse_transform(element.get("transform", ""))
+        except (ValueError, IndexError, TypeError, Warning) as error:
             raise WorldError(f"no transformation: {element.get('transform')!r}") from error
+        transform = place.transform @ own
         if _tag(element) == "use":
             shift = np.eye(3)
             shift[:2, 2] = [_pixels(element.get(key, "0")) for key in ("x", "y")]

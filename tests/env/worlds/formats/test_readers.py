@@ -218,7 +218,10 @@ class TestMapsRefused:
         ("text", "reason"),
         [
             (yaml_with("image: 3"), "image must be a file's name"),
-            (yaml_with("image: map.gif"), r"image 'map\.gif': not a picture that can be read \(\.pgm,"),
+            (
+                yaml_with("image: map.gif"),
+                r"image 'map\.gif': not a picture that can be read \(\.pgm,",
+            ),
             (yaml_with("image: other.pgm"), r"image 'other\.pgm': no such file"),
             (yaml_with('image: "nul\\0.pgm"'), r"image 'nul\\x00\.pgm': no such file"),
             (yaml_with("resolution: 0"), r"resolution must be a number from 0\.001 to 10"),
