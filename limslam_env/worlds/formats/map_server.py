@@ -84,7 +84,7 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
         if info.negate:
             shade = shade[::-1]
         if info.mode == "raw":
-            shade = (1.0 - shade) * 255.0 / _RAW
+            shade = np.round((1.0 - shade) * 255.0) / _RAW
         is_occupied = (shade > info.occupied_thresh) & (shade <= 1.0)
         is_free = shade <= info.free_thresh
         occupied, unknown = is_occupied[picture.levels], ~(is_occupied | is_free)[picture.levels]

@@ -1,4 +1,4 @@
-"""Plans of buildings as pictures, SVG and DXF: what they show, in metres, or why they are refused."""
+"""Plans as pictures, SVG and DXF: what they show in metres, or why they are refused."""
 
 import itertools
 
