@@ -18,7 +18,6 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.segment import inside_polygon
 from limslam_env.worlds.formats.outlines import outlines_of, pieces_of
 from limslam_env.worlds.formats.tables import read_bytes
-from limslam_env.worlds.free_space import eroded
 from limslam_env.worlds.world import World, WorldError, named
 
 FINEST, COARSEST = 0.001, 10.0
@@ -34,6 +33,7 @@ _FORMATS = {".pgm": "PPM", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp
 SUFFIXES = tuple(_FORMATS)
 _MAX_FILE_BYTES = 256_000_000
 _GREY_16_BIT = ("I;16", "I;16B", "I")
+_DEEP = 0.1  # m; between this depth and the outline of a thick wall no robot fits
 _BESIDE = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.uint8)  # a cell and its four sides
 
 
@@ -156,11 +156,13 @@ def world_of_cells(
     outside. ``origin`` is the pose (m, rad) of the lower left corner.
     """
     enclosed, rim = _solid_unknown(occupied, unknown)
-    walls, obstacles = outlines_of(occupied | enclosed | rim)
-    # Obstacles have no floor inside. Where the unknown is the inside of walls, it needs its own.
-    rooms = [
+    solid = occupied | enclosed | rim
+    walls, obstacles = outlines_of(solid)
+    # Obstacles have no floor inside. What is thick and has holes has outlines only.
+    depth = cv2.distanceTransform(solid.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    insides = [
         piece
-        for piece in pieces_of(eroded(enclosed))
+        for piece in pieces_of(depth >= max(_DEEP / side, 2.0))
         if not any(inside_polygon(piece[:1], obstacle)[0] for obstacle in obstacles)
     ]
     x, y, yaw = origin
@@ -174,7 +176,7 @@ def world_of_cells(
         name,
         (float(width), float(height)),
         placed(walls.reshape(-1, 2)).reshape(-1, 4),
-        tuple(placed(polygon) for polygon in (*obstacles, *rooms)),
+        tuple(placed(polygon) for polygon in (*obstacles, *insides)),
         notes=_notes(enclosed, rim, side),
     )
 
