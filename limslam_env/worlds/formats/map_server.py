@@ -7,7 +7,7 @@ obstacles only.
 import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,14 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
         if info.mode == "scale" and picture.opacity is not None:
             unknown |= picture.opacity < 255
             occupied &= ~unknown
-        return world_of_cells(path_name(path), occupied, unknown, info.resolution, info.origin)
+        world = world_of_cells(path_name(path), occupied, unknown, info.resolution, info.origin)
+        if picture.white == 255 and is_free[UNKNOWN] and UNKNOWN in picture.levels:
+            note = (
+                f"cells of the level {UNKNOWN}, which map_server writes where nothing is known, "
+                f"are free by free_thresh {info.free_thresh:g}"
+            )
+            world = replace(world, notes=(*world.notes, note))
+        return world
 
 
 def _info(text: str) -> MapInfo:

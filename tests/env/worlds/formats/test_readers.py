@@ -285,6 +285,14 @@ class TestUnknownCells:
         assert fits(world, 4.75, 3.75)
         assert not fits(world, 5.5, 3.75)
 
+    def test_unknown_cells_that_the_file_calls_free_are_named(self, tmp_path):
+        picture = ROOM.replace("###...", "???...")
+        world = load_world(write_fine(tmp_path, picture, free_thresh=0.25))
+        (note,) = world.notes
+        assert "level 205" in note
+        assert "free by free_thresh 0.25" in note
+        assert fits(world, 3.25, 3.5)
+
     def test_a_hole_in_the_known_ground_holds_robots(self, tmp_path):
         picture = "##########\n#........#\n#...??...#\n#........#\n##########"
         world = load_world(write_fine(tmp_path, picture))
