@@ -26,6 +26,7 @@ logging.getLogger("ezdxf").addHandler(logging.NullHandler())
 _LINES = frozenset(
     ("LINE", "LWPOLYLINE", "POLYLINE", "ARC", "CIRCLE", "ELLIPSE", "SPLINE", "SOLID", "TRACE")
 )
+_COMPOSED = frozenset(("INSERT", "MLINE"))
 _DEEPEST = 20  # blocks within blocks
 
 
@@ -35,7 +36,8 @@ def read_dxf(
     """The world in the model space of a DXF file; ``metres_per_unit`` and ``wall_layers`` as for
     :func:`unit_of` and :func:`drawn_world`.
 
-    Lines, polylines, arcs, circles, ellipses, splines and solids are read, also those of blocks.
+    Lines, multilines, polylines, arcs, circles, ellipses, splines and solids are read, also those
+    of blocks.
     Layers that are off or frozen are not. A WorldError says why the file cannot be used, or that
     ezdxf is not installed.
     """
@@ -95,9 +97,9 @@ def _entities(entities: Any, around: str | None, depth: int) -> Iterator[tuple[A
         own = entity.dxf.get("layer", "0")
         layer = around if around is not None and own == "0" else own
         yield entity, layer
-        if entity.dxftype() != "INSERT":
+        if entity.dxftype() not in _COMPOSED:
             continue
         if depth == _DEEPEST:
             raise WorldError(f"blocks within blocks are more than {_DEEPEST} deep")
-        for insert in entity.multi_insert():
-            yield from _entities(insert.virtual_entities(), layer, depth + 1)
+        for part in entity.multi_insert() if entity.dxftype() == "INSERT" else (entity,):
+            yield from _entities(part.virtual_entities(), layer, depth + 1)

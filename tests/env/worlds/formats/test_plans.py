@@ -257,8 +257,11 @@ class TestDxf:
         space.add_ellipse((0, 0), (2, 0), 0.5)
         space.add_spline([(-1, 0), (0, 0.5), (1, 0)])
         space.add_polyline2d([(0, -0.5, 1.0), (0.5, -0.5, 1.0)], format="xyb", close=True)
+        space.add_mline([(-0.5, -1.5), (0.5, -1.5)])
         world = read_dxf(tmp_path, document)
         assert world.size == (pytest.approx(6.0), pytest.approx(6.0))
+        # The two lines of a multiline are 1 apart, the upper one through its points.
+        assert ends([[2.5, 1.5, 3.5, 1.5], [2.5, 0.5, 3.5, 0.5]]) <= ends(world.walls)
         radii = np.hypot(*(world.walls[:, :2] - 3.0).T)
         assert len(world.walls) > 60
         assert radii.max() == pytest.approx(3.0, abs=0.002)
