@@ -121,6 +121,22 @@ Sharp = Annotated[
         "--sharp",
     ),
 ]
+MetresPerPixel = Annotated[
+    float | None,
+    told(_WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
+]
+MetresPerUnit = Annotated[
+    float | None,
+    told(_WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
+]
+Layers = Annotated[
+    str | None,
+    told(
+        _WORLD,
+        "Layers of a plan in SVG or DXF that are walls: A,B,...",
+        "those called walls or windows, or all",
+    ),
+]
 Log = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -157,7 +173,7 @@ class RunOptions(Bounded):
         told(
             _WORLD,
             "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor "
-            "plan, or a world file.",
+            "plan, or a world file, which may be a plan (.png, .jpg, .svg, .dxf).",
         ),
     ] = "env1"
     noise: Annotated[
@@ -183,6 +199,9 @@ class RunOptions(Bounded):
     robots: Annotated[
         int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")
     ] = 1
+    metres_per_pixel: MetresPerPixel = None
+    metres_per_unit: MetresPerUnit = None
+    layers: Layers = None
     ablation: Annotated[
         str | None,
         told(

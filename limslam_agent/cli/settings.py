@@ -302,7 +302,13 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     from limslam_env.worlds.formats.loading import load_world
 
     try:
-        world, max_time = load_world(options.world), options.max_time
+        world = load_world(
+            options.world,
+            metres_per_pixel=options.metres_per_pixel,
+            metres_per_unit=options.metres_per_unit,
+            layers=layer_names(options.layers),
+        )
+        max_time = options.max_time
         agent = exploring_agent(given, options)
         if "odometry_noise" in given.options:
             variance = _wheel_variance(given.options["odometry_noise"])
@@ -335,6 +341,11 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
         raise given.blamed(error) from error
 
 
+def layer_names(text: str | None) -> list[str] | None:
+    """The names in the option ``--layers``; None where it is not given."""
+    return None if text is None else [name.strip() for name in text.split(",")]
+
+
 def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -> None:
     """Write the file that repeats a run: all settings as they were in effect, before the
     ablation.
@@ -345,8 +356,10 @@ def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -
     agent = config.settings or preset(config.preset, NominalNoise(config.noise))
     noise = table_of(config.true_noise)
     del noise["sensor_noise"]
+    # The world is kept as a table, in metres.
+    in_metres = replace(options, metres_per_pixel=None, metres_per_unit=None, layers=None)
     table = {
-        **_option_table(options),
+        **_option_table(in_metres),
         "world": _named(options.world),
         "policy": _kept_policy(folder, options.policy),
         "true_noise": noise,

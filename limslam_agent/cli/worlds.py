@@ -5,12 +5,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit
+from limslam_agent.cli.settings import layer_names
 from limslam_agent.cli.terminal import print_table, say, warn
 
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
 
 worlds = typer.Typer(name="worlds", help="List the shipped worlds; check and convert world files.")
+
+# A building as large as that is rare, and a plan in feet or inches is not.
+_LARGE = 150.0
 
 # The grid that is searched grows as the robot shrinks.
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 0.02, 10.0
@@ -38,10 +43,16 @@ def check(
         str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")
     ],
     radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
+    metres_per_pixel: MetresPerPixel = None,
+    metres_per_unit: MetresPerUnit = None,
+    layers: Layers = None,
 ) -> None:
-    """Check whether a robot can be used in a world, and show the reason if it cannot."""
+    """Check whether a robot can be used in a world, and show the reason if it cannot, or where its
+    outline is open.
+    """
+    import numpy as np
+
     from limslam_env.messages import LONGEST_VALUE, counted, one_line
-    from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.regions import start_region
     from limslam_env.worlds.world import named
 
@@ -50,19 +61,23 @@ def check(
             f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not "
             f"{radius:g}"
         )
-    place = load_world(world)
+    place = _loaded(world, metres_per_pixel, metres_per_unit, layers)
+    width, height = np.ptp(place.edges.reshape(-1, 2), axis=0)
+    notes = [*place.notes]
+    if max(width, height) > _LARGE:
+        notes.append(f"its walls measure {width:.0f} x {height:.0f} m: are its lengths in m?")
+    warn([one_line(f"{world}: {note}") for note in notes])
     with named(world):
         place.check(radius)
     region = start_region(place, radius)
-    width, height = place.size
     typer.echo(
-        f"{one_line(place.name, LONGEST_VALUE)}: {width:g} x {height:g} m, "
+        f"{one_line(place.name, LONGEST_VALUE)}: {place.size[0]:g} x {place.size[1]:g} m, "
         f"{counted(len(place.walls), 'wall')}, "
         f"{counted(len(place.obstacles), 'obstacle')}, {counted(len(place.doors), 'door')}, "
         f"{counted(len(place.starts), 'start')}, {region.area:.1f} m^2 of floor within reach"
     )
     if region.warning:
-        warn([one_line(f"{world}: {region.warning}")])
+        warn([one_line(f"{world}: {region.warning}{place.opening_note(radius)}")])
 
 
 @worlds.command()
@@ -75,16 +90,37 @@ def convert(
     ],
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    metres_per_pixel: MetresPerPixel = None,
+    metres_per_unit: MetresPerUnit = None,
+    layers: Layers = None,
 ) -> None:
     """Write a world in another format."""
     from limslam_agent.output.atomic_write import check_target
-    from limslam_env.worlds.formats.loading import load_world, write_world
+    from limslam_env.worlds.formats.loading import write_world
 
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
     for file in files:
         check_target(file, force=force)
-    write_world(load_world(source), target)
+    place = _loaded(source, metres_per_pixel, metres_per_unit, layers)
+    warn([f"{source}: {note}" for note in place.notes])
+    write_world(place, target)
     say(f"world       {target}")
+
+
+def _loaded(
+    world: str,
+    metres_per_pixel: float | None,
+    metres_per_unit: float | None,
+    layers: str | None,
+) -> "World":
+    from limslam_env.worlds.formats.loading import load_world
+
+    return load_world(
+        world,
+        metres_per_pixel=metres_per_pixel,
+        metres_per_unit=metres_per_unit,
+        layers=layer_names(layers),
+    )
 
 
 def _gym_ids() -> dict[str, str]:

@@ -135,13 +135,15 @@ class RunConfig:
 
     @property
     def warnings(self) -> list[str]:
-        """Reasons why the run cannot explore the world, one line each.
+        """What there is to say about the world, and reasons why the run cannot explore it, one
+        line each.
 
-        They are a small start region, an open outer wall, or beams that are too short for the
-        policy.
+        They are notes of the world's reader, a small start region, an open outer wall, or beams
+        that are too short for the policy.
         """
-        region = start_region(load_world(self.world), self.robot.radius).warning
-        found = [] if region is None else [region]
+        world = load_world(self.world)
+        region = start_region(world, self.robot.radius).warning
+        found = [*world.notes] if region is None else [*world.notes, region]
         cell = self.agent.grid.cell
         if (
             self.policy.startswith("frontier")

@@ -14,6 +14,7 @@ from limslam_env.geometry import BoolArray, FloatArray, no_rows
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
 from limslam_env.messages import one_line
 from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
+from limslam_env.worlds.openings import openings
 
 MAX_SIDE = 500.0
 MAX_EDGES = 100_000
@@ -53,6 +54,9 @@ class World:
         (s, 3): start poses of the robots. Empty: random starts.
     loop
         (l, 2): corners of a closed tour for driving laps. Empty: no tour.
+    notes
+        What the reader of a file has to say about it, one line each. They are no part of the world:
+        worlds that differ in them only are equal.
     """
 
     name: str
@@ -62,6 +66,7 @@ class World:
     doors: FloatArray = field(default_factory=lambda: no_rows(4))
     starts: FloatArray = field(default_factory=lambda: no_rows(3))
     loop: FloatArray = field(default_factory=lambda: no_rows(2))
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _check_name(self.name)
@@ -131,6 +136,7 @@ class World:
         if not region.any():
             raise WorldError(
                 f"world {self.name!r}: no closed region has room for a robot of {radius:g} m radius"
+                f"{self.opening_note(radius)}"
             )
         self._check_closed(space.first_centre(region)[None], radius, lambda _: "its largest region")
 
@@ -148,7 +154,15 @@ class World:
                 f"world {self.name!r}: {label(int(np.argmax(is_open)))} lies in a region that is "
                 "not closed: "
                 f"a robot of {radius:g} m radius could leave the world"
+                f"{self.opening_note(radius)}"
             )
+
+    def opening_note(self, radius: float) -> str:
+        """Where the outline is open for a robot of ``radius`` (m), in words that follow a reason;
+        empty if it is closed.
+        """
+        found = "; ".join(map(str, openings(self.edges, self.obstacles, radius)))
+        return f"; the outline is open at {found}" if found else ""
 
     def _check_starts(self, starts: FloatArray, radius: float, label: Callable[[int], str]) -> None:
         is_pose = (

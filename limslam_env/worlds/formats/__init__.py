@@ -1,3 +1,3 @@
-"""File formats of worlds: TOML, map_server, wall lists and HouseExpo; ``loading`` reads any of
-them.
+"""File formats of worlds: TOML, map_server, wall lists, HouseExpo, pictures, SVG and DXF;
+``loading`` reads any of them.
 """

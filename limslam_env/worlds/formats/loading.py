@@ -4,7 +4,8 @@ file; and writes it.
 
 import os
 import re
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import TypeAlias
@@ -35,21 +36,44 @@ _PLAN = re.compile(
 LARGE = 1.0
 """Size of a file, MB, from which on its world takes many seconds to read and to check."""
 
+_PICTURES = (".png", ".pgm", ".jpg", ".jpeg", ".bmp")
+_DRAWINGS = (".svg", ".dxf")
+_USES = {"metres_per_pixel": _PICTURES, "metres_per_unit": _DRAWINGS, "layers": _DRAWINGS}
+
 WorldSource: TypeAlias = str | os.PathLike[str] | World
 
 
-def load_world(source: WorldSource) -> World:
+def load_world(
+    source: WorldSource,
+    *,
+    metres_per_pixel: float | None = None,
+    metres_per_unit: float | None = None,
+    layers: Sequence[str] | None = None,
+) -> World:
     """A world by the name of a shipped one, by the path of a file, or as it is.
 
     ``random:17`` is the floor plan that seed 17 draws by the default settings, for a robot of the
     default radius. ``random:17:40x30`` is a floor plan of 40 x 30 m. These are the names of the
     worlds, too.
 
+    Parameters
+    ----------
+    source
+        Name, path or world.
+    metres_per_pixel
+        Side of a pixel, m, of a picture (``.png``, ``.pgm``, ``.jpg``, ``.bmp``), which needs it.
+    metres_per_unit
+        Length of a unit, m, of a drawing (``.svg``, ``.dxf``). Not needed where the file says it.
+    layers
+        Names of the layers of a drawing whose lines are walls. None chooses by the names.
+
     Raises
     ------
     WorldError
         If there is no such world, or it cannot be used; the message names file and reason.
     """
+    scale = _Scale(metres_per_pixel, metres_per_unit, None if layers is None else (*layers,))
+    scale.check_use(source)
     if isinstance(source, World):
         return source
     if isinstance(source, str) and source in shipped_worlds():
@@ -75,7 +99,23 @@ def load_world(source: WorldSource) -> World:
             f"no world is called {source!r}; there are {', '.join(shipped_worlds())}, random:SEED, "
             "random:SEED:WIDTHxHEIGHT, or give a file"
         )
-    return _load_file(path)
+    return _load_file(path, scale)
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """The arguments of :func:`load_world` for pictures and drawings."""
+
+    metres_per_pixel: float | None
+    metres_per_unit: float | None
+    layers: tuple[str, ...] | None
+
+    def check_use(self, source: object) -> None:
+        """Refuse an argument that a world of this kind does not use."""
+        suffix = Path(source).suffix.lower() if isinstance(source, str | os.PathLike) else ""
+        for name, suffixes in _USES.items():
+            if getattr(self, name) is not None and suffix not in suffixes:
+                raise WorldError(f"{source}: {name!r} is for files of {', '.join(suffixes)}")
 
 
 def _random_world(name: str) -> World:
@@ -104,22 +144,40 @@ def _random_world(name: str) -> World:
     return replace(plan, name=f"{RANDOM}{int(seed)}{size}")
 
 
-def _load_file(path: Path) -> World:
+def _load_file(path: Path, scale: _Scale) -> World:
     megabytes = path.stat().st_size / 1e6
     if megabytes > LARGE:
         announce(f"{path}: a world of {megabytes:.1f} MB is read and checked, up to half a minute")
-    if path.suffix == ".toml":
+    suffix = path.suffix.lower()
+    if suffix == ".toml":
         with named(path):
             text = read_text(path, MAX_FILE_BYTES)
         return parse_world(text, str(path))
-    if path.suffix == ".json":
+    if suffix == ".json":
         return read_json(path)
-    if path.suffix in {".yaml", ".yml"}:
-        # Needs OpenCV and YAML, which worlds in TOML and JSON do without.
+    # The others need OpenCV, YAML and more, which worlds in TOML and JSON do without.
+    if suffix in {".yaml", ".yml"}:
         from limslam_env.worlds.formats.map_server import read_map_server
 
         return read_map_server(path)
-    raise WorldError(f"{path}: not a world file that can be read (.toml, .yaml, .json)")
+    if suffix in _PICTURES:
+        from limslam_env.worlds.formats.pictures import read_plan
+
+        return read_plan(path, scale.metres_per_pixel)
+    if suffix in _DRAWINGS:
+        return _load_drawing(path, scale)
+    known = ", ".join((".toml", ".yaml", ".json", *_PICTURES, *_DRAWINGS))
+    raise WorldError(f"{path}: not a world file that can be read ({known})")
+
+
+def _load_drawing(path: Path, scale: _Scale) -> World:
+    if path.suffix.lower() == ".svg":
+        from limslam_env.worlds.formats.svg import read_svg
+
+        return read_svg(path, scale.metres_per_unit, scale.layers)
+    from limslam_env.worlds.formats.dxf import read_dxf
+
+    return read_dxf(path, scale.metres_per_unit, scale.layers)
 
 
 def shipped_worlds() -> list[str]:

@@ -1,34 +1,35 @@
-"""Worlds from and as maps of ROS's map_server: a picture of cells (PGM or PNG) and a description of
-it (YAML).
+"""Worlds from and as maps of ROS's map_server: a picture of cells and a description of it (YAML).
 
-The outlines of the occupied cells become straight walls and polygons. Maps keep the walls and the
+The outlines of what is not free become straight walls and polygons. Maps keep the walls and the
 obstacles only.
 """
 
-import io
 import math
 import os
 import re
-import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image, UnidentifiedImageError
 from scipy import ndimage
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
-from limslam_env.geometry.segment import polygon_edges, sample
-from limslam_env.worlds.formats.tables import read_bytes, read_text, replace_file
+from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.geometry.segment import sample
+from limslam_env.worlds.formats.pictures import (
+    COARSEST,
+    FINEST,
+    MAX_PIXELS,
+    path_name,
+    read_picture,
+    shades,
+    world_of_cells,
+)
+from limslam_env.worlds.formats.tables import read_text, replace_file
 from limslam_env.worlds.free_space import clear
 from limslam_env.worlds.world import World, WorldError, named
-
-FINEST, COARSEST = 0.001, 10.0
-"""Smallest and largest side of a cell, m."""
 
 _YAML_BYTES = 100_000  # a map's YAML has six lines, and PyYAML takes its time
 _YAML_DEPTH = 2  # a table, and the origin's three numbers in it
@@ -36,16 +37,8 @@ _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thr
 # YAML 1.1 as PyYAML knows it takes 5e-2 for a text; map_server and YAML 1.2 take it for a number.
 _EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")
 
-MAX_PIXELS = 36_000_000
-
-_FORMATS = {".pgm": "PPM", ".png": "PNG"}  # Pillow's name of a family of formats, PGM among them
-_MAX_FILE_BYTES = 256_000_000
-_GREY_16_BIT = ("I;16", "I;16B", "I")
-
-# Noise has a patch or a corner at every other cell, and would take minutes; floor plans stay far
-# below.
-_MAX_OUTLINES, _MAX_CORNERS = 20_000, 1_000_000
-_PILLAR_CORNERS = 100
+_MODES = ("trinary", "scale", "raw")
+_RAW = 100  # level of a raw map that is surely occupied; higher ones are unknown
 
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
 """Levels of a map's cells, as map_server's own saver writes them."""
@@ -60,8 +53,9 @@ class MapInfo:
 
     ``image`` is relative to the YAML's folder, ``resolution`` the side of a cell, m, and ``origin``
     x, y (m) and yaw (rad, counter-clockwise) of the lower left corner. With ``negate`` white is
-    occupied, instead of black. A cell is a wall if it is more occupied than ``occupied_thresh``, 0
-    to 1.
+    occupied, instead of black. A cell is occupied if it is darker than ``occupied_thresh``, 0 to 1,
+    and free up to ``free_thresh``. ``mode`` is trinary, scale (transparent cells are unknown) or
+    raw (levels are occupancies in percent).
     """
 
     image: str
@@ -69,30 +63,42 @@ class MapInfo:
     origin: tuple[float, float, float]
     negate: bool
     occupied_thresh: float
+    free_thresh: float
+    mode: str
 
 
 def read_map_server(path: str | os.PathLike[str]) -> World:
-    """The world in a map of map_server: a ``.yaml`` file and the ``.pgm`` or ``.png`` picture that
-    it names.
+    """The world in a map of map_server: a ``.yaml`` file and the picture that it names.
 
     Walls run along the outlines of the occupied cells, a quarter of a cell within them, and are
-    straightened by up to one cell. A solid patch is an obstacle. Cells that are unknown are not
-    walls. A WorldError says which file cannot be used, and why.
+    straightened by up to one cell. A solid patch is an obstacle. Cells that are neither occupied
+    nor free are unknown (:func:`world_of_cells`). A WorldError says which file cannot be used, and
+    why.
     """
     path = Path(path)
     with named(path):
         info = _info(read_text(path, _YAML_BYTES))
         with named(f"image {info.image!r}"):
-            samples, largest = read_levels(path.parent / info.image)
-        # The shade of each level: 0 for white, which is free, and 1 for black.
-        shade = (
-            np.arange(largest + 1) / largest
-            if info.negate
-            else np.arange(largest, -1, -1) / largest
-        )
-        # A file's name may hold bytes that are no text.
-        name = path.stem.encode("utf-8", "replace").decode()
-        return _world(name, (shade > info.occupied_thresh)[samples], info)
+            picture = read_picture(path.parent / info.image)
+        shade = shades(picture)
+        if info.negate:
+            shade = shade[::-1]
+        if info.mode == "raw":
+            shade = np.round((1.0 - shade) * 255.0) / _RAW
+        is_occupied = (shade > info.occupied_thresh) & (shade <= 1.0)
+        is_free = shade <= info.free_thresh
+        occupied, unknown = is_occupied[picture.levels], ~(is_occupied | is_free)[picture.levels]
+        if info.mode == "scale" and picture.opacity is not None:
+            unknown |= picture.opacity < 255
+            occupied &= ~unknown
+        world = world_of_cells(path_name(path), occupied, unknown, info.resolution, info.origin)
+        if picture.white == 255 and is_free[UNKNOWN] and UNKNOWN in picture.levels:
+            note = (
+                f"cells of the level {UNKNOWN}, which map_server writes where nothing is known, "
+                f"are free by free_thresh {info.free_thresh:g}"
+            )
+            world = replace(world, notes=(*world.notes, note))
+        return world
 
 
 def _info(text: str) -> MapInfo:
@@ -102,9 +108,9 @@ def _info(text: str) -> MapInfo:
         raise WorldError(f"the key {missing[0]!r} is missing")
     if not isinstance(table["image"], str):
         raise WorldError("image must be a file's name")
-    if table.get("mode", "trinary") not in ("trinary", "scale"):
-        # Raw levels are costs, of which map_server itself does not say what a wall is.
-        raise WorldError("mode must be trinary or scale: others do not say which cells are walls")
+    mode = str(table.get("mode", _MODES[0])).lower()
+    if mode not in _MODES:
+        raise WorldError(f"mode must be one of {', '.join(_MODES)}")
     if not isinstance(table["origin"], list) or len(table["origin"]) != 3:
         raise WorldError("origin must be three numbers: x, y, yaw")
     x, y, yaw = (_number(value, "origin", -1e6, 1e6) for value in table["origin"])
@@ -116,9 +122,9 @@ def _info(text: str) -> MapInfo:
     if negate not in (0, 1):
         raise WorldError("negate must be 0 or 1")
     occupied = _number(table["occupied_thresh"], "occupied_thresh", 0.0, 1.0)
-    _number(table["free_thresh"], "free_thresh", 0.0, occupied)
+    free = _number(table["free_thresh"], "free_thresh", 0.0, occupied)
     resolution = _number(table["resolution"], "resolution", FINEST, COARSEST)
-    return MapInfo(table["image"], resolution, (x, y, yaw), bool(negate), occupied)
+    return MapInfo(table["image"], resolution, (x, y, yaw), bool(negate), occupied, free, mode)
 
 
 def _yaml_table(text: str) -> dict[Any, Any]:
@@ -155,23 +161,6 @@ def _number(value: Any, key: str, low: float, high: float) -> float:
     if type(value) not in (int, float) or not low <= value <= high:
         raise WorldError(f"{key} must be a number from {low:g} to {high:g}")
     return float(value)
-
-
-def _world(name: str, occupied: BoolArray, info: MapInfo) -> World:
-    polygons, walls = outlines_of(occupied)
-    x, y, yaw = info.origin
-    turn = np.array([[math.cos(yaw), math.sin(yaw)], [-math.sin(yaw), math.cos(yaw)]])
-    width, height = np.abs(turn.T) @ (np.array(occupied.shape[::-1]) * info.resolution)
-
-    def placed(points: FloatArray) -> FloatArray:
-        return np.asarray(points * info.resolution @ turn + (x, y))
-
-    return World(
-        name,
-        (float(width), float(height)),
-        placed(walls.reshape(-1, 2)).reshape(-1, 4),
-        tuple(placed(polygon) for polygon in polygons),
-    )
 
 
 def write_map(world: World, path: Path, resolution: float) -> None:
@@ -224,141 +213,3 @@ def _levels(
     regions, _ = ndimage.label(free)
     levels = np.where(regions == regions[0, 0], UNKNOWN, FREE)
     return np.where(free, levels, OCCUPIED).astype(np.uint8)
-
-
-def read_levels(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
-    """The levels (rows, columns) of a picture, the uppermost row first, and the one that stands for
-    white.
-
-    The level of a coloured pixel is the sum of its three colours; transparency is not used. A
-    WorldError says that it is no PGM or PNG file, is damaged, or has too many pixels.
-    """
-    suffix = path.suffix.lower()
-    if suffix not in _FORMATS:
-        raise WorldError("not a .pgm or .png file")
-    content = read_bytes(path, _MAX_FILE_BYTES)
-    try:
-        # Pillow warns about very large pictures, which are refused here.
-        with (
-            warnings.catch_warnings(action="ignore"),
-            Image.open(io.BytesIO(content), formats=[_FORMATS[suffix]]) as image,
-        ):
-            return _picture_levels(image)
-    # Damaged pictures raise errors of many types: SyntaxError, struct.error, zlib.error and others.
-    except Exception as error:
-        if isinstance(error, WorldError):
-            raise
-        is_other = isinstance(error, UnidentifiedImageError)
-        reason = f"it is no {suffix[1:].upper()} file" if is_other else " ".join(str(error).split())
-        raise WorldError(f"cannot be read: {reason}") from error
-
-
-def _picture_levels(image: Image.Image) -> tuple[NDArray[np.integer[Any]], int]:
-    columns, rows = image.size
-    if rows * columns > MAX_PIXELS:
-        raise WorldError(f"{columns} x {rows} pixels; 1 to {MAX_PIXELS} can be read")
-    if image.mode in _GREY_16_BIT:
-        return np.asarray(image).astype(np.uint16), 65_535
-    if image.mode in {"1", "L", "LA"}:
-        return np.asarray(image.convert("L")), 255
-    return np.asarray(image.convert("RGB")).sum(axis=2, dtype=np.uint16), 3 * 255
-
-
-def outlines_of(occupied: BoolArray) -> tuple[list[FloatArray], FloatArray]:
-    """Polygons around the solid patches, each (k, 2), and the walls (n, 4) that make up the others'
-    outlines.
-
-    Lengths are in cells, from the lower left corner of ``occupied`` (rows, columns), uppermost row
-    first; y is up.
-    """
-    rows, columns = (np.nonzero(occupied.any(axis=axis))[0] for axis in (1, 0))
-    if not rows.size:
-        raise WorldError("no cell is occupied")
-    part = occupied[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    if _corner_count(part) > _MAX_CORNERS:
-        raise WorldError(
-            f"its walls have more than {_MAX_CORNERS} corners: noise, or no floor plan"
-        )
-    # Twice as fine: the outline of a wall of one cell would otherwise run forth and back on one
-    # line.
-    doubled = part.astype(np.uint8).repeat(2, axis=0).repeat(2, axis=1)
-    contours, hierarchy = cv2.findContours(doubled, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    if len(contours) > _MAX_OUTLINES:
-        raise WorldError(
-            f"{len(contours)} separate outlines: noise, or no floor plan; up to {_MAX_OUTLINES} "
-            "can be used"
-        )
-    polygons, walls = [], [np.zeros((0, 4))]
-    for contour, (_, _, hole, around) in zip(contours, hierarchy[0], strict=True):
-        is_solid = hole < 0 and around < 0
-        corners = _corners_of(contour[:, 0].astype(np.int32), doubled, is_solid=is_solid)
-        placed = (corners + 0.5) / 2.0 + (columns[0], rows[0])
-        placed[:, 1] = len(occupied) - placed[:, 1]
-        if is_solid and _is_simple(corners):
-            polygons.append(placed)
-        elif len(corners) > 1:
-            # The outline of a thin wall is one line, there and back.
-            walls.append(polygon_edges(placed)[: None if len(corners) > 2 else 1])
-    return polygons, np.vstack(walls)
-
-
-def _corners_of(contour: IntArray, occupied: NDArray[np.uint8], *, is_solid: bool) -> IntArray:
-    """The corners (n, 2) of a contour (k, 2) of columns and rows, without the steps of slanted
-    walls.
-    """
-    outline = _with_corners(contour, occupied)
-    corners = cv2.approxPolyDP(outline[:, None], 2.0, closed=True)[:, 0].astype(np.int64)
-    # A patch of a cell or so is still in the way.
-    return outline if is_solid and len(corners) == 1 else corners
-
-
-def _corner_count(occupied: BoolArray) -> int:
-    """How often the outlines of the occupied cells (rows, columns) turn, those along the border
-    left out.
-    """
-    change = occupied[1:] ^ occupied[:-1]
-    # Along an outline that runs straight on, two cells beside each other differ from those below
-    # alike.
-    turns = change[:, 1:] ^ change[:, :-1]
-    touching = change[:, 1:] & change[:, :-1] & (occupied[1:, 1:] ^ occupied[1:, :-1])
-    return int(np.count_nonzero(turns) + 2 * np.count_nonzero(touching))
-
-
-def _with_corners(outline: IntArray, occupied: NDArray[np.uint8]) -> IntArray:
-    """An outline (k, 2) of columns and rows with the inner corners, which OpenCV cuts off by a
-    diagonal step.
-    """
-    step = np.roll(outline, -1, axis=0) - outline
-    at = np.nonzero(np.abs(step).min(axis=1) == 1)[0]
-    ahead, aside = outline[at] + step[at] * (1, 0), outline[at] + step[at] * (0, 1)
-    # One side of the step is open, and the corner is on the other; where two patches touch, both
-    # are open.
-    corner = np.where(occupied[ahead[:, 1], ahead[:, 0], None] > 0, ahead, aside)
-    inner = occupied[corner[:, 1], corner[:, 0]] > 0
-    return np.insert(outline, at[inner] + 1, corner[inner], axis=0)
-
-
-def _is_simple(corners: IntArray) -> bool:
-    """Whether a polygon (k, 2) of whole numbers has an area and touches itself nowhere."""
-    if not 3 <= len(corners) <= _PILLAR_CORNERS:
-        return False
-    a, b = corners, np.roll(corners, -1, axis=0)
-    span, after = b - a, np.roll(b - a, -1, axis=0)
-    turns = span[:, 0] * after[:, 1] - span[:, 1] * after[:, 0]
-    if ((turns == 0) & ((span * after).sum(axis=1) < 0)).any():  # it runs back on itself
-        return False
-
-    def side(points: IntArray) -> IntArray:
-        """On which side of edge i point j lies: -1, 0, 1."""
-        offset = points[None] - a[:, None]
-        return np.asarray(
-            np.sign(span[:, None, 0] * offset[..., 1] - span[:, None, 1] * offset[..., 0])
-        )
-
-    straddles = side(a) * side(b) <= 0
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=-1)
-    index = np.arange(len(corners))
-    apart = (index[:, None] - index[None]) % len(corners)
-    strangers = (apart != 0) & (apart != 1) & (apart != len(corners) - 1)
-    return not (straddles & straddles.T & overlap & strangers).any()

@@ -2,6 +2,7 @@
 line.
 """
 
+import json
 import sys
 
 import pytest
@@ -75,6 +76,56 @@ def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(tmp_path):
     assert code == 2
     assert f"{path}: world 'hall': starts[0] lies in a region that is not closed" in error
     assert error.count("\n") == 1
+
+
+PLAN = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 400 300">
+<g id="walls"><rect width="400" height="300" fill="none" stroke="black"/></g>
+<g id="beds"><rect x="100" y="100" width="50" height="50"/></g></svg>"""
+
+
+def test_a_plan_is_checked_converted_and_run_with_its_scale(tmp_path):
+    plan = tmp_path / "plan.svg"
+    plan.write_text(PLAN)
+    assert_refused(limslam("worlds", "check", plan), "--metres-per-unit 0.001")
+    scale = ("--metres-per-unit", "0.01")
+    code, out, error = limslam("worlds", "check", plan, *scale)
+    assert (code, error) == (0, f"limslam: warning: {plan}: layers that are not used: beds\n")
+    assert out.startswith("plan: 4 x 3 m, 4 walls, 0 obstacles, ")
+    both = (*scale, "--layers", "walls, Beds")
+    assert limslam("worlds", "convert", plan, tmp_path / "plan.toml", *both)[0] == 0
+    world = load_world(tmp_path / "plan.toml")
+    assert (len(world.walls), world.size) == (8, (4.0, 3.0))
+    run = ("run", "--max-time", "1", "--world", plan, *both, "--out", tmp_path / "run")
+    assert limslam(*run)[0] == 0
+    assert load_world(tmp_path / "run" / "world.toml") == world
+    settings = ("--config", tmp_path / "run" / "run.toml", "--out", tmp_path / "again")
+    assert limslam("run", *settings)[0] == 0
+
+
+def test_a_picture_needs_the_side_of_a_pixel(tmp_path):
+    plan = tmp_path / "plan.pgm"
+    cells = bytes(40) + 28 * (b"\0" + 38 * b"\xff" + b"\0") + bytes(40)
+    plan.write_bytes(b"P5\n40 30\n255\n" + cells)
+    assert_refused(limslam("worlds", "check", plan), "--metres-per-pixel 0.02")
+    code, out, error = limslam("worlds", "check", plan, "--metres-per-pixel", "0.1")
+    assert (code, error) == (0, "")
+    assert out.startswith("plan: 4 x 3 m, ")
+    _, _, error = limslam("worlds", "check", plan, "--metres-per-pixel", "4")
+    assert "its walls measure 158 x 118 m: are its lengths in m?" in error
+
+
+def test_the_place_where_an_outline_is_open_is_named(tmp_path):
+    plan = tmp_path / "plan.json"
+    walls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]
+    plan.write_text(json.dumps({"id": "plan", "walls": walls}))
+    assert_refused(limslam("worlds", "check", plan), "open at (3.50, 4.00), 1.00 m wide")
+    # A closet that is closed has room for the robot, and the rest of the building has not.
+    closet = [[0.0, 0.5, 0.5, 0.5], [0.5, 0.5, 0.5, 0.0]]
+    plan.write_text(json.dumps({"id": "plan", "walls": walls + closet}))
+    code, _, error = limslam("worlds", "check", plan)
+    assert code == 0
+    assert "the outer wall is open" in error
+    assert "open at (3.50, 4.00), 1.00 m wide" in error
 
 
 @pytest.mark.parametrize("name", SHIPPED_WORLDS)

@@ -7,6 +7,7 @@ import json
 import math
 import re
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -165,12 +166,12 @@ class TestMapServer:
         pgm = plain_pgm(np.array([[4, 4, 4, 4], [4, 1, 1, 4], [4, 2, 2, 4]]), 4)
         # Shades of 3/4 and 2/4 are above 0.4; 3/4 alone is above 0.5, which 2/4 is not.
         both = load_world(write_map(tmp_path, pgm, occupied_thresh=0.4))
-        upper = load_world(write_map(tmp_path, pgm, occupied_thresh=0.5))
+        upper = load_world(write_map(tmp_path, pgm, occupied_thresh=0.5, free_thresh=0.5))
         assert segment_set(both.edges) == box(1.625, 2.125, 2.375, 2.875)
         assert upper.edges[:, [1, 3]].min() > 2.5
 
     @pytest.mark.parametrize(
-        "changes", [{"mode": "trinary"}, {"mode": "scale"}, {"resolution": "5e-1"}, {"extra": 1}]
+        "changes", [{"mode": "Trinary"}, {"mode": "SCALE"}, {"resolution": "5e-1"}, {"extra": 1}]
     )
     def test_what_changes_no_wall_is_read_alike(self, tmp_path, changes):
         expected = load_world(write_map(tmp_path, ROOM))
@@ -201,6 +202,127 @@ class TestMapServer:
         )
 
 
+def fits(world: World, x: float, y: float) -> bool:
+    return world.free_space(RADIUS).label_of(np.array([x, y])) > 0
+
+
+def write_fine(folder, cells: np.ndarray | str, **changes):
+    """A map with five cells of 0.1 m for each side of a letter, or of a level."""
+    coarse = levels(cells) if isinstance(cells, str) else cells
+    pgm = binary_pgm(coarse.repeat(5, axis=0).repeat(5, axis=1))
+    return write_map(folder, pgm, resolution=0.1, **changes)
+
+
+class TestUnknownCells:
+    """Maps of cells of 0.1 m, five for each side of a letter, from (1, 2): robots stay on free
+    ones.
+    """
+
+    def test_what_walls_enclose_of_unknown_cells_is_no_room(self, tmp_path):
+        picture = """
+            ????????????????
+            ?##############?
+            ?#............#?
+            ?#..########..#?
+            ?#..#??????#..#?
+            ?#..#??????#..#?
+            ?#..#??????#..#?
+            ?#..#??????#..#?
+            ?#..########..#?
+            ?#............#?
+            ?##############?
+            ????????????????
+        """
+        world = load_world(write_fine(tmp_path, picture))
+        # The 6 x 4 unknown cells are more than any part of the free ring is wide.
+        assert world.notes == ("6.0 m^2 within the map are unknown, and are no floor",)
+        assert not fits(world, 5.0, 5.0)
+        assert fits(world, 2.5, 5.0)
+        world.check(RADIUS)
+        region = world.free_space(RADIUS).largest_closed_region()
+        starts = world.free_space(RADIUS).centres(region)
+        columns, rows = ((starts - (1.0, 2.0)) // 0.5).astype(int).T
+        assert {picture.split()[11 - row][column] for row, column in zip(rows, columns)} == {"."}  # noqa: B905
+
+    def test_unknown_rooms_of_any_shape_are_no_floor(self, tmp_path):
+        picture = """
+            ################
+            #??????????????#
+            #??##########??#
+            #??#........#??#
+            #??#........#??#
+            #??#........#??#
+            #??##########??#
+            #??????????????#
+            #??????????????#
+            #??????????????#
+            #######..#######
+            #######..#######
+            ################
+        """
+        world = load_world(write_fine(tmp_path, picture))
+        region = world.free_space(RADIUS).largest_closed_region()
+        x, y = world.free_space(RADIUS).centres(region).T
+        # Without the unknown ring, the hall of 8 x 3 cells is the largest.
+        assert (x.min(), x.max()) == (pytest.approx(3.0, abs=0.3), pytest.approx(7.0, abs=0.3))
+        assert (y.min(), y.max()) == (pytest.approx(5.5, abs=0.3), pytest.approx(7.0, abs=0.3))
+
+    def test_a_wall_stands_where_free_ground_ends_and_the_map_does_not_know_why(self, tmp_path):
+        picture = """
+            ??????????
+            ?########?
+            ?#......#?
+            ?#.......?
+            ?#......#?
+            ?########?
+            ??????????
+        """
+        world = load_world(write_fine(tmp_path, picture))
+        world.check(RADIUS)
+        assert world.notes == (
+            "the map does not know what ends its free ground along 0.5 m: walls stand there",
+        )
+        assert fits(world, 4.75, 3.75)
+        assert not fits(world, 5.5, 3.75)
+
+    def test_unknown_cells_that_the_file_calls_free_are_named(self, tmp_path):
+        picture = ROOM.replace("###...", "???...")
+        world = load_world(write_fine(tmp_path, picture, free_thresh=0.25))
+        (note,) = world.notes
+        assert "level 205" in note
+        assert "free by free_thresh 0.25" in note
+        assert fits(world, 3.25, 3.5)
+
+    def test_a_hole_in_the_known_ground_holds_robots(self, tmp_path):
+        picture = "##########\n#........#\n#...??...#\n#........#\n##########"
+        world = load_world(write_fine(tmp_path, picture))
+        assert not fits(world, 3.5, 3.25)
+        assert box(3.025, 3.025, 3.975, 3.475) <= segment_set(obstacle_edges(world))
+
+    def test_scale_leaves_what_is_neither_free_nor_occupied_and_what_is_transparent(self, tmp_path):
+        cells = levels(ROOM)
+        cells[1:5, 6] = 150  # a shade of 0.41
+        path = write_fine(tmp_path, cells, mode="Scale")
+        assert not fits(load_world(path), 4.25, 2.75)
+        cells = cells.repeat(5, axis=0).repeat(5, axis=1)
+        opacity = np.where(cells == 150, 254, 255).astype(np.uint8)
+        shown = np.where(cells == 150, 254, cells).astype(np.uint8)
+        cv2.imwrite(str(tmp_path / "map.png"), np.dstack((shown, shown, shown, opacity)))
+        for mode, is_floor in (("scale", False), ("trinary", True)):
+            world = load_world(write_fine(tmp_path, ROOM, image="map.png", mode=mode))
+            assert fits(world, 4.25, 2.75) == is_floor
+
+    def test_raw_levels_are_percents_and_higher_ones_unknown(self, tmp_path):
+        cells = np.select([levels(ROOM) == 0, levels(ROOM) > 250], [100, 10])
+        raw = load_world(write_fine(tmp_path, cells, mode="raw"))
+        assert raw == load_world(write_fine(tmp_path, ROOM))
+        cells[2, 4] = 255
+        cells[1, 1] = 50
+        raw = load_world(write_fine(tmp_path, cells, mode="RAW"))
+        assert not fits(raw, 1.75, 4.25)
+        assert "0.5 m^2 within the map are unknown, and are no floor" in raw.notes
+
+
 def yaml_with(line: str) -> str:
     """The map's YAML with another line for the key that the line begins with."""
     key = line.partition(":")[0]
@@ -218,7 +340,10 @@ class TestMapsRefused:
         ("text", "reason"),
         [
             (yaml_with("image: 3"), "image must be a file's name"),
-            (yaml_with("image: map.bmp"), r"image 'map\.bmp': not a \.pgm or \.png file"),
+            (
+                yaml_with("image: map.gif"),
+                r"image 'map\.gif': not a picture that can be read \(\.pgm,",
+            ),
             (yaml_with("image: other.pgm"), r"image 'other\.pgm': no such file"),
             (yaml_with('image: "nul\\0.pgm"'), r"image 'nul\\x00\.pgm': no such file"),
             (yaml_with("resolution: 0"), r"resolution must be a number from 0\.001 to 10"),
@@ -233,7 +358,7 @@ class TestMapsRefused:
             (yaml_with("negate: 0.5"), "negate must be 0 or 1"),
             (yaml_with("occupied_thresh: 1.5"), "occupied_thresh must be a number from 0 to 1"),
             (yaml_with("free_thresh: 0.7"), r"free_thresh must be a number from 0 to 0\.65"),
-            (yaml_with("negate: 0") + "\nmode: raw", "mode must be trinary or scale"),
+            (yaml_with("negate: 0") + "\nmode: grey", "mode must be one of trinary, scale, raw"),
             (yaml_with("origin: &a [*a, 0, 0]"), "neither aliases nor tags"),
             (yaml_with("image: !!python/object/apply:os.getcwd []"), "neither aliases nor tags"),
             ("[" * 90_000, "nested deeper than a map is"),
@@ -369,11 +494,11 @@ class TestPlans:
         with pytest.raises(ValueError, match=r"plan\.json: 100001 walls and obstacle edges"):
             load_world(path)
 
-    @pytest.mark.parametrize("name", ["map.png", "plan"])
+    @pytest.mark.parametrize("name", ["map.gif", "plan"])
     def test_other_files_are_refused_with_those_that_can_be_read(self, tmp_path, name):
+        kinds = r"\.toml, \.yaml, \.json, \.png, \.pgm, \.jpg, \.jpeg, \.bmp, \.svg, \.dxf"
         with pytest.raises(
-            ValueError,
-            match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)",
+            ValueError, match=rf"{name}: not a world file that can be read \({kinds}\)"
         ):
             load_world(write_json(tmp_path, PLAN, name))
 

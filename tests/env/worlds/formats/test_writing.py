@@ -18,7 +18,7 @@ from PIL import Image
 from limslam_env import World, load_world
 from limslam_env.geometry import segment
 from limslam_env.worlds.formats.loading import write_world
-from limslam_env.worlds.formats.map_server import read_levels
+from limslam_env.worlds.formats.pictures import read_picture
 from limslam_env.worlds.formats.tables import parse_world, world_toml
 
 BOX = np.array(
@@ -294,4 +294,4 @@ def test_damaged_pictures_are_refused(tmp_path):
     for cut in (0, 5, 20, 40, len(whole) // 2):
         assert "cannot be read" in refusal(tmp_path, whole[:cut])
     with pytest.raises(ValueError):
-        read_levels(tmp_path / "missing.png")
+        read_picture(tmp_path / "missing.png")
