@@ -35,7 +35,7 @@ from limslam_agent.slam.consistent.pending_readings import (
     TURNED_AT,
 )
 from limslam_agent.slam.consistent.wall_map import WallExtent
-from limslam_env.compilation import algebra, next_of
+from limslam_env.compilation import compiled, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
 from limslam_env.geometry.segment import lengths
@@ -275,7 +275,7 @@ def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> No
         raise ValueError(f"the {name} of robot {bad[0]} must be finite, not {values[bad[0]]}")
 
 
-@algebra
+@compiled
 def state_of(states: States, number: int) -> States:
     """The state of one robot, as views of the arrays."""
     ekf, walls = states.filter, states.walls
@@ -306,7 +306,7 @@ def state_of(states: States, number: int) -> States:
     )
 
 
-@algebra
+@compiled
 def accept(
     state: States, ranges: FloatArray, wheels: FloatArray, spec: Spec, measured: BoolArray
 ) -> FloatArray:
@@ -433,7 +433,7 @@ def step_some(
         place = next_of(begun)
 
 
-@algebra
+@compiled
 def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
     ekf = state.filter
