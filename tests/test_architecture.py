@@ -29,7 +29,7 @@ ENV = {
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
-    "limslam_env.config": set(),
+    "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {INTERFACE},
     "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
     # A world may be named by the seed of a floor plan.

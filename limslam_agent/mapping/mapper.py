@@ -27,6 +27,7 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import check_poses
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
@@ -152,8 +153,7 @@ class Mapper(Frames):
                 "a start pose has the shape (3,), or (n, 3) for n robots, not "
                 f"{np.shape(start_pose)}"
             )
-        if not np.isfinite(starts).all():
-            raise ValueError(f"start poses must be finite, not {starts.tolist()}")
+        check_poses("start poses", starts)
         self._restarts = 0
         self._start_at(starts, LineSlam(self.robot, self.config, starts))
 

@@ -30,6 +30,17 @@ reset.
 
 MAX_ROBOTS = 8
 
+MOST_ENVS = 1 << 22
+"""Most environments of a batch."""
+
+MOST_STEPS = 10**9
+"""Most steps of an episode that has a limit."""
+
+MOST_THREADS = 1024
+
+MOST_PLANS = 100_000
+"""Most floor plans that are made beforehand."""
+
 Kind = TypeVar("Kind", RobotSpec, NoiseConfig, RewardConfig)
 
 
@@ -47,14 +58,15 @@ def given(name: str, value: Any, kind: type[Kind]) -> Kind:
     )
 
 
-def whole(name: str, value: Any, otherwise: str = "") -> int:
-    """A whole number of at least 1; a ValueError otherwise, which adds the alternatives that
+def whole(name: str, value: Any, most: int, otherwise: str = "") -> int:
+    """A whole number from 1 to ``most``; a ValueError otherwise, which adds the alternatives that
     ``otherwise`` names.
     """
     number = _index(value)
-    if number is None or number < 1:
+    if number is None or not 1 <= number <= most:
         raise ValueError(
-            f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}"
+            f"{name} must be a whole number, 1 or more, at most {most}{otherwise}, not "
+            f"{described(value)}"
         )
     return number
 
@@ -120,10 +132,11 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
     if not (isinstance(source, FloorPlanConfig) or is_random(source)):
         raise ValueError("plans are for worlds that are drawn")
     seeds = plans if isinstance(plans, Sequence) else range(_index(plans) or 0)
-    found = [seed for seed in map(_index, seeds) if seed is not None and seed >= 0]
+    known = map(_index, seeds if len(seeds) <= MOST_PLANS else ())
+    found = [seed for seed in known if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):
         raise ValueError(
-            "plans must be 1 or more, or seeds of 0 and more, whole numbers, not "
+            f"plans must be 1 to {MOST_PLANS}, or as many seeds of 0 and more, whole numbers, not "
             f"{described(plans)}"
         )
     return found

@@ -13,6 +13,9 @@ from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.places import Places
 from limslam_env.envs.adapter import Configured, info_of, observation_of
 from limslam_env.envs.arguments import (
+    MOST_ENVS,
+    MOST_STEPS,
+    MOST_THREADS,
     BatchSource,
     Plans,
     floats,
@@ -65,12 +68,16 @@ class Batched(Configured):
         **arguments: Any,
     ) -> None:
         """Take a batch's arguments; its class documents them and the errors raised."""
-        num_envs = whole("num_envs", num_envs)
+        num_envs = whole("num_envs", num_envs, MOST_ENVS)
         max_steps = (
-            None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
+            None
+            if max_steps is None
+            else whole("the steps of an episode", max_steps, MOST_STEPS, ", or None")
         )
         num_threads = (
-            None if num_threads is None else whole("num_threads", num_threads, ", or None")
+            None
+            if num_threads is None
+            else whole("num_threads", num_threads, MOST_THREADS, ", or None")
         )
         self._configure(**arguments)
         self._num_robots, self.num_envs = num_robots, num_envs

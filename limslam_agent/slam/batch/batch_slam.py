@@ -38,6 +38,7 @@ from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_env.compilation import compiled, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
+from limslam_env.geometry.numbers import LARGEST_COORDINATE
 from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
@@ -270,9 +271,12 @@ class BatchSlam:
 
 
 def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> None:
-    bad = chosen[~np.isfinite(values[chosen]).all(axis=1)]
+    bad = chosen[~(np.abs(values[chosen]) <= LARGEST_COORDINATE).all(axis=1)]
     if len(bad):
-        raise ValueError(f"the {name} of robot {bad[0]} must be finite, not {values[bad[0]]}")
+        raise ValueError(
+            f"the {name} of robot {bad[0]} must be finite, and at most {LARGEST_COORDINATE:g} m or "
+            f"rad, not {values[bad[0]]}"
+        )
 
 
 @compiled

@@ -51,13 +51,16 @@ class FrontEnd:
         TypeError
             If it is not a dictionary.
         ValueError
-            If its ranges have the wrong shape.
+            If its ranges have the wrong shape, or are no real numbers.
         """
         _check_kind(observation)
-        if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
-            shape = np.shape(observation["ranges"])
+        if "ranges" not in observation:
+            return
+        ranges = np.asarray(observation["ranges"])
+        if ranges.shape != (len(self._robot.beams),) or ranges.dtype.kind not in "fiu":
             raise ValueError(
-                f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}"
+                f"ranges must be {len(self._robot.beams)} numbers, not of shape {ranges.shape} "
+                f"and type {ranges.dtype}"
             )
 
     def accept(self, observation: Observation) -> None:

@@ -4,7 +4,7 @@ odometry.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, arc_derivatives, arc_jacobian, wheels_to_arc
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.messages import described
 
 # The arc model is not exact. The least variance also keeps the covariance of a standing robot
 # regular.
@@ -22,6 +23,9 @@ TOO_FAST = 300.0
 """A wheel that travels this many times as far in a step as the robot's largest wheel speed allows
 is refused.
 """
+
+LARGEST_MOTION = 1000.0
+"""Largest motion in one step, m or rad, that is computed with."""
 
 _SURE_TURN = 4.0  # in standard deviations: a smaller turn may be noise only
 
@@ -173,22 +177,24 @@ def motion_of(
     Raises
     ------
     ValueError
-        If it reports neither of them, or numbers that are not finite.
+        If it reports neither of them, or numbers that are not finite or above ``LARGEST_MOTION``.
     """
     if "wheels" in observation:
-        wheels = np.asarray(observation["wheels"], dtype=float)
-        _check(wheels, 2, "wheels")
-        return motion_from_wheels(wheels, robot, noise)
+        return motion_from_wheels(_numbers(observation["wheels"], 2, "wheels"), robot, noise)
     if "odometry" in observation:
-        increment = np.asarray(observation["odometry"], dtype=float)
-        _check(increment, 3, "odometry")
-        return motion_from_odometry(increment, odometry)
+        return motion_from_odometry(_numbers(observation["odometry"], 3, "odometry"), odometry)
     raise ValueError("an observation needs 'wheels' or 'odometry'")
 
 
-def _check(values: FloatArray, size: int, key: str) -> None:
-    if values.shape != (size,) or not all(map(math.isfinite, values.tolist())):
-        raise ValueError(f"{key} must be {size} finite numbers, not {values!r}")
+def _numbers(values: Any, size: int, key: str) -> FloatArray:
+    array = np.asarray(values)
+    is_real = array.dtype.kind in "fiu" and array.shape == (size,)
+    if not is_real or not all(abs(value) <= LARGEST_MOTION for value in array.tolist()):
+        raise ValueError(
+            f"{key} must be {size} finite numbers, at most {LARGEST_MOTION:g} m or rad, not "
+            f"{described(values)}"
+        )
+    return array.astype(np.float64)
 
 
 def longest_travel(robot: RobotSpec) -> float:
