@@ -42,7 +42,7 @@ ENV_SOURCES = (
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
-_TRIED = ("0.68.",)
+_TRIED = ("0.61.", "0.62.", "0.63.", "0.64.", "0.65.", "0.66.", "0.67.", "0.68.")
 """Versions of numba whose parts that are not public were tried: how their names begin."""
 
 _USES_INTERNALS = (

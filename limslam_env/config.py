@@ -89,7 +89,7 @@ class NoiseConfig:
                 object.__setattr__(self, name, tuple(value))
         for name, value in vars(self).items():
             lowest, highest = _BOUNDS[name]
-            if not _lies_within(value, lowest, highest):
+            if not lies_within(value, lowest, highest):
                 raise ValueError(
                     f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such "
                     f"numbers, not {value}"
@@ -171,7 +171,7 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         goal = self.coverage_goal
-        if goal is not None and not (_lies_within(goal, 0.0, 1.0) and goal > 0.0):
+        if goal is not None and not (lies_within(goal, 0.0, 1.0) and goal > 0.0):
             raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {goal}")
 
     def is_over(self, coverage: float) -> bool:
@@ -179,7 +179,8 @@ class TaskConfig:
         return self.coverage_goal is not None and coverage >= self.coverage_goal
 
 
-def _lies_within(setting: Any, lowest: float, highest: float) -> bool:
+def lies_within(setting: Any, lowest: float, highest: float) -> bool:
+    """Whether a setting is a number, or a range of numbers, within limits."""
     try:
         low, high = bounds_of(setting)
         return is_number(low) and is_number(high) and lowest <= low <= high <= highest

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.geometry.numbers import check_poses
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32

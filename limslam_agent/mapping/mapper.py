@@ -27,9 +27,10 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.numbers import check_poses
+from limslam_env.geometry.numbers import check_poses, floats
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import described
 
 RESTART_WITHIN = 1800
 """Number of first steps within which a mapper begins again when the SLAM finds errors of odometry
@@ -147,11 +148,11 @@ class Mapper(Frames):
         ValueError
             If a start pose has another shape or is not finite.
         """
-        starts = np.array(start_pose, dtype=float, ndmin=2)
+        starts = np.atleast_2d(floats(start_pose))
         if starts.ndim != 2 or starts.shape[0] == 0 or starts.shape[1] != 3:
             raise ValueError(
                 "a start pose has the shape (3,), or (n, 3) for n robots, not "
-                f"{np.shape(start_pose)}"
+                f"{described(start_pose)}"
             )
         check_poses("start poses", starts)
         self._restarts = 0

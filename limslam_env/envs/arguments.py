@@ -5,10 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeAlias, TypeGuard, TypeVar
 
-import numpy as np
-
 from limslam_env.config import NoiseConfig, RewardConfig
-from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described, one_line
 from limslam_env.worlds.formats.loading import WorldSource, load_world
@@ -77,14 +74,6 @@ def check_robots(num_robots: Any) -> None:
         raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
 
 
-def floats(value: Any) -> FloatArray:
-    """A value as an array of floats; an empty one where it is no array of numbers."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return np.zeros(0)
-
-
 def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
     """The options of a reset; a ValueError where they are no dictionary, or one of them is not
     ``known``.
@@ -131,7 +120,7 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
         return None
     if not (isinstance(source, FloorPlanConfig) or is_random(source)):
         raise ValueError("plans are for worlds that are drawn")
-    seeds = plans if isinstance(plans, Sequence) else range(_index(plans) or 0)
+    seeds = plans if isinstance(plans, Sequence) else range(min(_index(plans) or 0, MOST_PLANS + 1))
     known = map(_index, seeds if len(seeds) <= MOST_PLANS else ())
     found = [seed for seed in known if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):

@@ -21,6 +21,17 @@ def is_number(value: object) -> bool:
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
+def floats(values: Any) -> FloatArray:
+    """Real numbers as an array of floats of their shape. An empty array where they are none:
+    complex numbers, truth values, texts, rows of unequal length, whole numbers of any size.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError:  # rows of unequal length
+        return np.zeros(0)
+    return array.astype(np.float64) if array.dtype.kind in "fiu" else np.zeros(0)
+
+
 def check_number(what: str, value: Any, low: float, high: float, unit: str = "") -> None:
     """Refuse what is not a number from ``low`` to ``high``.
 

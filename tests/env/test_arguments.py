@@ -168,11 +168,17 @@ def test_beams_given_as_a_list_are_as_good_as_a_tuple():
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"radius": 60.0}, "a robot's radius is at most 5 m, not 60: is it in m?"),
-        ({"axle": 115.0}, "a robot's axle is at most 10 m, not 115: is it in m?"),
+        (
+            {"radius": 60.0},
+            "a robot's radius must be a number from 0.001 to 5 m, not 60.0: is it in m?",
+        ),
+        (
+            {"axle": 115.0},
+            "a robot's axle must be a number from 0.001 to 10 m, not 115.0: is it in m?",
+        ),
         (
             {"max_wheel_speed": 300.0},
-            "a robot's max_wheel_speed is at most 100 m/s, not 300: is it in m/s?",
+            "a robot's max_wheel_speed must be a number from 0.0001 to 100 m/s, not 300.0: is it in m/s?",
         ),
     ],
 )

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import floats
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import described
 
 
 class FrontEnd:
@@ -56,11 +58,10 @@ class FrontEnd:
         _check_kind(observation)
         if "ranges" not in observation:
             return
-        ranges = np.asarray(observation["ranges"])
-        if ranges.shape != (len(self._robot.beams),) or ranges.dtype.kind not in "fiu":
+        if floats(observation["ranges"]).shape != (len(self._robot.beams),):
             raise ValueError(
-                f"ranges must be {len(self._robot.beams)} numbers, not of shape {ranges.shape} "
-                f"and type {ranges.dtype}"
+                f"ranges must be {len(self._robot.beams)} numbers, not "
+                f"{described(observation['ranges'])}"
             )
 
     def accept(self, observation: Observation) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from limslam_agent.config.shared import OdometryConfig
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.numbers import floats
 from limslam_env.geometry.se2 import arc, arc_derivatives, arc_jacobian, wheels_to_arc
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.messages import described
@@ -187,14 +188,13 @@ def motion_of(
 
 
 def _numbers(values: Any, size: int, key: str) -> FloatArray:
-    array = np.asarray(values)
-    is_real = array.dtype.kind in "fiu" and array.shape == (size,)
-    if not is_real or not all(abs(value) <= LARGEST_MOTION for value in array.tolist()):
+    array = floats(values)
+    if array.shape != (size,) or not all(abs(each) <= LARGEST_MOTION for each in array.tolist()):
         raise ValueError(
             f"{key} must be {size} finite numbers, at most {LARGEST_MOTION:g} m or rad, not "
             f"{described(values)}"
         )
-    return array.astype(np.float64)
+    return array
 
 
 def longest_travel(robot: RobotSpec) -> float:
@@ -206,7 +206,8 @@ def longest_travel(robot: RobotSpec) -> float:
 
 
 def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> None:
-    """Refuse wheel travel that the robot cannot drive in a step. Shapes and NaN are not checked.
+    """Refuse wheel travel that the robot cannot drive in a step. What is not two numbers is left
+    to :func:`motion_of`.
 
     Raises
     ------
@@ -215,9 +216,7 @@ def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> 
     """
     if "wheels" not in observation:
         return
-    farthest = max(
-        map(abs, np.asarray(observation["wheels"], dtype=float).ravel().tolist()), default=0.0
-    )
+    farthest = max(map(abs, floats(observation["wheels"]).ravel().tolist()), default=0.0)
     if math.isfinite(farthest) and farthest > longest:
         limit = f"{robot.max_wheel_speed:g} m/s for {robot.control_period:g} s"
         raise ValueError(

@@ -119,7 +119,7 @@ def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
     ("start", "message"),
     [
         (np.zeros(2), r"shape \(3,\), or \(n, 3\) for n robots, not \(2,\)"),
-        (np.array([0.0, np.nan, 0.0]), "must be finite, not"),
+        (np.array([0.0, np.nan, 0.0]), "must be finite, and at most"),
     ],
 )
 def test_a_bad_start_pose_is_refused_in_one_line(start, message):
