@@ -30,7 +30,7 @@ ENV = {
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
     "limslam_env.config": {GEOMETRY},
-    "limslam_env.robots": {INTERFACE},
+    "limslam_env.robots": {GEOMETRY, INTERFACE},
     "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
     # A world may be named by the seed of a floor plan.
     "limslam_env.worlds.formats": {

@@ -30,7 +30,6 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import check_poses, floats
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
-from limslam_env.messages import described
 
 RESTART_WITHIN = 1800
 """Number of first steps within which a mapper begins again when the SLAM finds errors of odometry
@@ -148,11 +147,11 @@ class Mapper(Frames):
         ValueError
             If a start pose has another shape or is not finite.
         """
-        starts = np.atleast_2d(floats(start_pose))
+        poses = floats(start_pose)
+        starts = np.atleast_2d(poses)
         if starts.ndim != 2 or starts.shape[0] == 0 or starts.shape[1] != 3:
             raise ValueError(
-                "a start pose has the shape (3,), or (n, 3) for n robots, not "
-                f"{described(start_pose)}"
+                f"a start pose has the shape (3,), or (n, 3) for n robots, not {poses.shape}"
             )
         check_poses("start poses", starts)
         self._restarts = 0

@@ -61,9 +61,9 @@ def whole(name: str, value: Any, most: int, otherwise: str = "") -> int:
     """
     number = _index(value)
     if number is None or not 1 <= number <= most:
+        limit = "1 or more" if number is None or number < 1 else f"{most} or less"
         raise ValueError(
-            f"{name} must be a whole number, 1 or more, at most {most}{otherwise}, not "
-            f"{described(value)}"
+            f"{name} must be a whole number, {limit}{otherwise}, not {described(value)}"
         )
     return number
 
@@ -125,8 +125,8 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
     found = [seed for seed in known if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):
         raise ValueError(
-            f"plans must be 1 to {MOST_PLANS}, or as many seeds of 0 and more, whole numbers, not "
-            f"{described(plans)}"
+            "plans must be 1 or more, or seeds of 0 and more, whole numbers, and at most "
+            f"{MOST_PLANS} plans, not {described(plans)}"
         )
     return found
 

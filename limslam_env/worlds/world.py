@@ -73,7 +73,7 @@ class World:
         if len(self.size) != 2 or not all(
             is_number(side) and 0.0 < side <= MAX_SIDE for side in self.size
         ):
-            sides = ", ".join(map(str, self.size))
+            sides = ", ".join(f"{side:g}" if is_number(side) else str(side) for side in self.size)
             raise WorldError(
                 f"size must be two lengths up to {MAX_SIDE:g} m, not [{sides}]: are they in m?"
             )

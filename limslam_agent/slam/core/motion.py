@@ -206,13 +206,12 @@ def longest_travel(robot: RobotSpec) -> float:
 
 
 def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> None:
-    """Refuse wheel travel that the robot cannot drive in a step. What is not two numbers is left
-    to :func:`motion_of`.
+    """Refuse wheel travel that the robot cannot drive in a step.
 
     Raises
     ------
     ValueError
-        If a wheel travels farther than ``longest``, m.
+        If it is not two finite numbers, or a wheel travels farther than ``longest``, m.
     """
     if "wheels" not in observation:
         return
@@ -224,3 +223,4 @@ def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> 
             "wheels must be "
             "metres since the last observation, not ticks or millimetres"
         )
+    _numbers(observation["wheels"], 2, "wheels")
