@@ -1,6 +1,8 @@
 """Decorators that compile kernels with numba, for the simulator and the agent.
 
-Only this module and ``limslam_env.linking``, which makes numba compile faster, import numba.
+Only this module and two that it needs import numba: ``limslam_env.linking`` compiles faster, and
+``limslam_env.kept_code`` keeps compiled code on disk. Those two use parts of numba that are not
+public, and only a numba that was tried is handed to them.
 
 numba can keep compiled code on disk. It discards that code when the file of the compiled function
 changes, but the code also contains every function and every constant that the function uses from
@@ -14,6 +16,7 @@ import gc
 import hashlib
 import importlib.util
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -21,40 +24,44 @@ from typing import Any, TypeVar, cast
 import numba
 from llvmlite import ir
 from numba import njit, types
-from numba.core import cgutils, environment
-from numba.core.runtime.nrt import rtsys
+from numba.core import cgutils
 from numba.extending import intrinsic
 
-from limslam_env.messages import announce
-
-_SECONDS = {"advance": 7, "step_some": 25}
-"""Kernels that take long to compile, and about how long on a usual processor, s."""
+from limslam_env.messages import announce_once
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 ENV_SOURCES = (
     "limslam_env.compilation",
+    "limslam_env.kept_code",
     "limslam_env.linking",
     "limslam_env.geometry",
     "limslam_env.kernels",
 )
-"""The module and the packages that the kernels of ``limslam_env`` are made of."""
+"""The modules and the packages that the kernels of ``limslam_env`` are made of."""
 
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
-# Leaves out the counting of references to arrays. The option is not public; a numba without it
-# ignores it.
-_LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False}
+_TRIED = ("0.61.", "0.62.", "0.63.", "0.64.", "0.65.", "0.66.", "0.67.", "0.68.")
+"""Versions of numba whose parts that are not public were tried: how their names begin."""
 
+_USES_INTERNALS = (
+    numba.__version__.startswith(_TRIED)
+    and not getattr(numba.config, "DISABLE_JIT", False)
+    and not os.environ.get("LIMSLAM_PUBLIC_NUMBA")
+)
+"""Whether kernels are kept on disk and linked by ``limslam_env.linking``. Both use parts of numba
+that are not public. Otherwise each start compiles anew, by the public interface.
+"""
 
-_TRIED = ("0.68.",)
-"""Versions of numba that ``limslam_env.linking`` was tried with: how their names begin."""
+# The added option leaves out the counting of references to arrays. It is not public.
+_LEAN: dict[str, Any] = {**_OPTIONS, "_nrt": False} if _USES_INTERNALS else _OPTIONS
 
 
 def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
-    """Compile by way of ``limslam_env.linking``, if this version of numba allows it."""
+    """Compile by way of ``limslam_env.linking``, if this version of numba was tried."""
     function = njit(**options)(kernel)
-    if not getattr(numba.config, "DISABLE_JIT", False) and numba.__version__.startswith(_TRIED):
+    if _USES_INTERNALS:
         _link(function, is_kernel)
     return function
 
@@ -117,13 +124,6 @@ def merged(kernel: Kernel) -> Kernel:
     into its callers.
     """
     return cast(Kernel, _njit(kernel, forceinline=True, **_LEAN))
-
-
-def algebra(kernel: Kernel) -> Kernel:
-    """Compile a function as :func:`compiled` does, and allow that a product and a sum are rounded
-    once, together.
-    """
-    return cast(Kernel, _njit(kernel, fastmath={"contract"}, **_OPTIONS))
 
 
 def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
@@ -196,74 +196,22 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     options = _OPTIONS if allocates else _LEAN
 
     def entry(kernel: Kernel) -> Kernel:
-        try:
-            kept = _njit(kernel, is_kernel=True, cache=True, **options)
-        except RuntimeError:  # numba found no folder that it may write to
-            _announce_once(
-                "no folder for compiled code can be written, so each start compiles anew; "
-                "set NUMBA_CACHE_DIR to a folder"
-            )
-            kept = None
-        # numba has no public way to add to what it compares. Without the attribute nothing can be
-        # kept safely.
-        file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
-        if not hasattr(file, "_source_stamp"):
-            return cast(Kernel, _njit(kernel, is_kernel=True, **options))
-        _load_or_announce(kept, kernel.__name__, allocates)
-        file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
-        return cast(Kernel, kept)
+        if _USES_INTERNALS:
+            try:
+                kept = _njit(kernel, is_kernel=True, cache=True, **options)
+            except RuntimeError:  # numba found no folder that it may write to
+                announce_once(
+                    "no folder for compiled code can be written, so each start compiles anew; "
+                    "set NUMBA_CACHE_DIR to a folder"
+                )
+            else:
+                from limslam_env.kept_code import keep
+
+                keep(kept, kernel.__name__, allocates, source_stamp(*ENV_SOURCES, *sources))
+                return cast(Kernel, kept)
+        return cast(Kernel, _njit(kernel, is_kernel=True, **options))
 
     return entry
-
-
-_announce_once = functools.cache(announce)
-
-
-def _environment(module: str, constants: list[Any], name: str) -> Any:
-    """What compiled code knows of its function: its constants, and the globals, which no code of
-    ours reads.
-
-    numba imports the modules of its own functions for the latter, which takes longer than to load
-    all kernels.
-    """
-    known = environment.lookup_environment(name)
-    if known is None:
-        known = environment.Environment({"__name__": module})
-        known.consts[:], known.env_name = constants, name
-        environment.Environment._memo[name] = known  # noqa: SLF001
-    return known
-
-
-def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
-    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take
-    long, and the first.
-
-    numba loads all that it could need to compile something before it looks at the disk, which takes
-    longer than to load an agent. Its compiler loads the same, so here code from the disk does
-    without it.
-    """
-    # Not public either: numba asks its cache for the code before it compiles.
-    cache = kept._cache  # noqa: SLF001
-
-    def load_or_announce(signature: Any, target: Any) -> Any:
-        if allocates:
-            rtsys.initialize(target)
-        usual, environment._rebuild_env = environment._rebuild_env, _environment  # noqa: SLF001
-        try:
-            with cache._guard_against_spurious_io_errors():  # noqa: SLF001
-                found = cache._load_overload(signature, target)  # noqa: SLF001
-        finally:
-            environment._rebuild_env = usual  # noqa: SLF001
-        if found is None and name in _SECONDS:
-            announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
-        elif found is None:
-            _announce_once(
-                "compiling small kernels, once, a few seconds; `limslam warmup` compiles all of "
-                "them beforehand"
-            )
-        return found
-
-    cache.load_overload = load_or_announce
 
 
 @functools.cache

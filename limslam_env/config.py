@@ -6,6 +6,8 @@ from typing import Any, Self, TypeAlias
 
 import numpy as np
 
+from limslam_env.geometry.numbers import check_number, is_number
+
 Setting: TypeAlias = float | tuple[float, float]
 """A number, or a range (low, high) that a new value is drawn from at each reset."""
 
@@ -27,6 +29,8 @@ _BOUNDS = {
     "slip_rate": (0.0, 1e6),
     "slip_share": (0.0, 1.0),
 }
+
+_LARGEST_REWARD = 1e6
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class NoiseConfig:
                 object.__setattr__(self, name, tuple(value))
         for name, value in vars(self).items():
             lowest, highest = _BOUNDS[name]
-            if not _lies_within(value, lowest, highest):
+            if not lies_within(value, lowest, highest):
                 raise ValueError(
                     f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such "
                     f"numbers, not {value}"
@@ -141,6 +145,10 @@ class RewardConfig:
     step: float = -0.001
     collision: float = -0.05
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            check_number(f"the reward {name}", value, -_LARGEST_REWARD, _LARGEST_REWARD)
+
     def of_step(self, new_area: float, contact: bool) -> float:
         """The reward of a step in which ``new_area`` (m^2) was seen for the first time."""
         return self.new_area * new_area + self.step + self.collision * contact
@@ -163,7 +171,7 @@ class TaskConfig:
 
     def __post_init__(self) -> None:
         goal = self.coverage_goal
-        if goal is not None and not (_lies_within(goal, 0.0, 1.0) and goal > 0.0):
+        if goal is not None and not (lies_within(goal, 0.0, 1.0) and goal > 0.0):
             raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {goal}")
 
     def is_over(self, coverage: float) -> bool:
@@ -171,10 +179,11 @@ class TaskConfig:
         return self.coverage_goal is not None and coverage >= self.coverage_goal
 
 
-def _lies_within(setting: Any, lowest: float, highest: float) -> bool:
+def lies_within(setting: Any, lowest: float, highest: float) -> bool:
+    """Whether a setting is a number, or a range of numbers, within limits."""
     try:
         low, high = bounds_of(setting)
-        return bool(lowest <= low <= high <= highest)
+        return is_number(low) and is_number(high) and lowest <= low <= high <= highest
     except (TypeError, ValueError):
         return False
 

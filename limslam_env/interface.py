@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.numbers import check_count, check_number, is_number
 from limslam_env.geometry.se2 import wrap_angle
 
 Side = Literal["left", "right", "none"]
@@ -38,10 +39,23 @@ LARGEST_CONE = 0.25 * math.pi
 LARGEST_RANGE = 1000.0
 """Longest range of a beam, m. A larger number is in another unit."""
 
-_LARGEST = {"radius": LARGEST_BODY, "axle": 2.0 * LARGEST_BODY, "max_wheel_speed": 100.0}
+MOST_STEPS = 1_000_000
+"""Largest number of steps between two measurements of a beam."""
+
+_LIMITS = {
+    "radius": (1e-3, LARGEST_BODY, "m"),
+    "axle": (1e-3, 2.0 * LARGEST_BODY, "m"),
+    "max_wheel_speed": (1e-4, 100.0, "m/s"),
+    "control_period": (1e-4, 1000.0, "s"),
+    "cone": (0.0, LARGEST_CONE, "rad"),
+}
 
 # Directions in degrees that are written in radians are this close to a whole number of degrees.
 _NEAR_WHOLE = 0.05
+
+
+LARGEST_NOISE = 1e3
+"""Largest standard deviation of a range, m, and largest variance of a wheel, m^2 per metre."""
 
 
 class Observation(TypedDict):
@@ -103,10 +117,9 @@ class SensorSpec:
     period: int = 1
 
     def __post_init__(self) -> None:
-        if not all(
-            map(math.isfinite, (self.x, self.y, self.angle, self.min_range, self.max_range))
-        ):
-            raise ValueError("a beam's place, angle and ranges must be finite")
+        numbers = self.x, self.y, self.angle, self.min_range, self.max_range
+        if not all(is_number(number) and math.isfinite(number) for number in numbers):
+            raise ValueError("a beam's place, angle and ranges must be finite numbers")
         if max(map(abs, (self.x, self.y))) > LARGEST_BODY or self.max_range > LARGEST_RANGE:
             raise ValueError(
                 f"a beam's place and max_range must be metres, within {LARGEST_BODY:g} m of the "
@@ -127,8 +140,7 @@ class SensorSpec:
             object.__setattr__(self, "side", side_of(self.angle))
         if self.side not in {"left", "right", "none"}:
             raise ValueError(f"a beam's side is left, right or none, not {self.side!r}")
-        if self.period < 1:
-            raise ValueError(f"a beam's period must be at least one step, not {self.period}")
+        check_count("a beam's period, in steps,", self.period, MOST_STEPS)
 
 
 def beams_on_rim(
@@ -190,23 +202,8 @@ class RobotSpec:
     cone: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("radius", "axle", "max_wheel_speed", "control_period"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"a robot's {name} must be positive, not {value}")
-        for name, largest in _LARGEST.items():
-            if getattr(self, name) > largest:
-                unit = "m/s" if name == "max_wheel_speed" else "m"
-                raise ValueError(
-                    f"a robot's {name} is at most {largest:g} {unit}, not "
-                    f"{getattr(self, name):g}: is it in {unit}?"
-                )
-        if not 0.0 <= self.cone <= LARGEST_CONE:
-            raise ValueError(
-                "a robot's cone is half the opening angle of its beams, from 0 to "
-                f"{LARGEST_CONE:.2f} rad, "
-                f"not {self.cone:g}: is it in rad?"
-            )
+        for name, (low, high, unit) in _LIMITS.items():
+            check_number(f"a robot's {name}", getattr(self, name), low, high, unit)
         object.__setattr__(self, "beams", tuple(self.beams))
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
@@ -345,9 +342,7 @@ class NominalNoise:
 
     def __post_init__(self) -> None:
         for name in ("range_std", "wheel_variance"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"noise ({name}) must be a number of 0 or more, not {value:g}")
+            check_number(f"noise ({name})", getattr(self, name), 0.0, LARGEST_NOISE)
 
 
 def largest_noise(noises: Sequence[NominalNoise]) -> NominalNoise:

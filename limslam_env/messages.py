@@ -2,6 +2,7 @@
 control a terminal.
 """
 
+import functools
 import os
 import sys
 
@@ -62,3 +63,7 @@ def announce(text: str) -> None:
     """Say on stderr what takes long, so that nobody wonders what is being done."""
     if not os.environ.get(QUIET):
         print(f"limslam: {text}", file=sys.stderr, flush=True)  # noqa: T201
+
+
+announce_once = functools.cache(announce)
+"""The same, at most once for each text."""

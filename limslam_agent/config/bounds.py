@@ -5,6 +5,7 @@ checks them.
 import functools
 import math
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Annotated, Any, Self, get_type_hints
 
 
@@ -16,18 +17,23 @@ class Bounds:
     ----------
     low, high
         Both are allowed themselves.
+    is_whole
+        Whether the number must be a whole one.
     """
 
     low: float
     high: float
+    is_whole: bool = False
 
     def check(self, name: str, value: Any) -> None:
         """Raise a ValueError, which begins with the setting's name, if a number is out of bounds or
         not a number.
         """
-        if not self.low <= value <= self.high:
+        is_number = isinstance(value, Integral if self.is_whole else Real)
+        if isinstance(value, bool) or not is_number or not self.low <= value <= self.high:
+            kind = "whole number" if self.is_whole else "number"
             raise ValueError(
-                f"{name} must be a number from {self.low:g} to {self.high:g}, not {value}"
+                f"{name} must be a {kind} from {self.low:g} to {self.high:g}, not {value}"
             )
 
 
@@ -39,9 +45,9 @@ Positive = Annotated[float, Bounds(1e-6, 1e6)]
 """The same, but above 0: a bin or a cell of no size cannot be computed with."""
 Angle = Annotated[float, Bounds(0.0, 2.0 * math.pi)]
 """An angle without a sign, rad."""
-Count = Annotated[int, Bounds(1, 10**6)]
+Count = Annotated[int, Bounds(1, 10**6, is_whole=True)]
 """How many: 1 or more."""
-CountOrNone = Annotated[int, Bounds(0, 10**6)]
+CountOrNone = Annotated[int, Bounds(0, 10**6, is_whole=True)]
 """How many: 0 or more."""
 
 

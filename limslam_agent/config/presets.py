@@ -29,7 +29,7 @@ class GridConfig(Bounded):
     # ends
     seen_through: CountOrNone = 1
     hit: CountOrNone = 4
-    limit: Annotated[int, Bounds(1, 10_000)] = (
+    limit: Annotated[int, Bounds(1, 10_000, is_whole=True)] = (
         20  # A cell's value stays between minus and plus this
     )
 

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.numbers import check_poses
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import RobotSpec
 
@@ -141,10 +142,11 @@ class OccupancyGrid:
         Raises
         ------
         ValueError
-            If the map has become so large that the pose must be wrong.
+            If the pose is too large, or the map has become so large that the pose must be wrong.
         """
         from limslam_agent.kernels.cells import update_grid
 
+        check_poses("the robot's pose", pose)
         touched = np.empty((2, 2), dtype=np.int64)
         while True:
             self._stamp += 1

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import algebra, compiled
+from limslam_agent.kernels.compilation import compiled
 from limslam_env.geometry import FloatArray
 
 
@@ -29,7 +29,7 @@ def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
         keys[j], follow[j] = key, other
 
 
-@algebra
+@compiled
 def factorise(matrix: FloatArray, size: int) -> None:
     """Replace the lower triangle of the first ``size`` rows and columns by its Cholesky factor."""
     # Column by column: the rows of a column do not wait for each other.
@@ -45,7 +45,7 @@ def factorise(matrix: FloatArray, size: int) -> None:
             matrix[i, j] = total / matrix[j, j]
 
 
-@algebra
+@compiled
 def whiten(factor: FloatArray, values: FloatArray, size: int, width: int) -> None:
     """Replace the first ``size`` rows and ``width`` columns of V by L^-1 V, with the Cholesky
     factor L.
@@ -60,7 +60,7 @@ def whiten(factor: FloatArray, values: FloatArray, size: int, width: int) -> Non
             values[i, j] *= inverse
 
 
-@algebra
+@compiled
 def solve_factored(factor: FloatArray, values: FloatArray, size: int) -> None:
     """Replace v (size,) by the solution y of L L^T y = v."""
     for i in range(size):
@@ -75,7 +75,7 @@ def solve_factored(factor: FloatArray, values: FloatArray, size: int) -> None:
         values[i] = total / factor[i, i]
 
 
-@algebra
+@compiled
 def dot(values: FloatArray, first: int, second: int, size: int) -> float:
     """Scalar product of two columns of ``values``."""
     total = 0.0
@@ -84,7 +84,7 @@ def dot(values: FloatArray, first: int, second: int, size: int) -> float:
     return total
 
 
-@algebra
+@compiled
 def orthonormalise(values: FloatArray, first: int, last: int, size: int) -> None:
     """Make the columns from ``first`` up to ``last`` orthonormal, in place (Gram-Schmidt,
     twice).
@@ -101,7 +101,7 @@ def orthonormalise(values: FloatArray, first: int, last: int, size: int) -> None
                 values[i, column] /= length
 
 
-@algebra
+@compiled
 def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, size: int) -> None:
     """Subtract from the columns from ``first`` up to ``last`` their projections on two orthonormal
     columns.
@@ -115,7 +115,7 @@ def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, s
             values[i, column] -= a * basis[i, 0] + b * basis[i, 1]
 
 
-@algebra
+@compiled
 def quantile(ordered: FloatArray, size: int, share: float) -> float:
     """Quantile of sorted numbers, with numpy's linear interpolation."""
     place = share * (size - 1)

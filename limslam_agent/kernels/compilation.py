@@ -2,9 +2,9 @@
 sources.
 """
 
-from limslam_env.compilation import algebra, compiled, entry_of
+from limslam_env.compilation import compiled, entry_of
 
-__all__ = ["algebra", "compiled", "entry", "lean_entry"]
+__all__ = ["compiled", "entry", "lean_entry"]
 
 entry = entry_of("limslam_agent.kernels")
 """The decorator for kernels of a step that Python calls."""

@@ -16,7 +16,7 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.algebra import wrapped
-from limslam_agent.kernels.compilation import algebra, entry, lean_entry
+from limslam_agent.kernels.compilation import compiled, entry, lean_entry
 from limslam_agent.kernels.measurement import fill_transport
 from limslam_agent.kernels.tables import POSE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -166,7 +166,7 @@ def dense_rows(P: FloatArray, size: int, whole: int, columns: IntArray) -> Float
     return rows
 
 
-@algebra
+@compiled
 def change_of_transport(
     x: FloatArray,
     size: int,
@@ -183,7 +183,7 @@ def change_of_transport(
             out[j, k] -= before[j, k]
 
 
-@algebra
+@compiled
 def transport_pose(P: FloatArray, moved: FloatArray, out: FloatArray) -> None:
     """The first pose's rows of P (3, size) after its error is transported by ``moved`` (size,
     3).
@@ -195,7 +195,7 @@ def transport_pose(P: FloatArray, moved: FloatArray, out: FloatArray) -> None:
             )
 
 
-@algebra
+@compiled
 def transport_rows(
     P: FloatArray,
     rows: FloatArray,
@@ -227,7 +227,7 @@ def transport_rows(
             )
 
 
-@algebra
+@compiled
 def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray) -> None:
     """P += left^T right, both (rank, size), which is symmetric; ``rank`` is a multiple of four."""
     rank, size = left.shape

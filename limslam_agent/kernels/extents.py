@@ -43,6 +43,8 @@ from limslam_agent.kernels.tables import (
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
+_FARTHEST_BIN = 1 << 40  # a bin farther along a line comes from a place that has overflowed
+
 
 def add_wall(walls: Walls, index: int) -> None:
     """Clear the arrays of a landmark that has just been added, and number it."""
@@ -57,6 +59,9 @@ def add_wall(walls: Walls, index: int) -> None:
 def reach(walls: Walls, index: int, place: int) -> int:
     """Extend a landmark's bins to hold one more, and return its index; -1 if there is no room."""
     wall, counted, reached = walls.table[index], walls.counted[index], walls.reached[index]
+    if not -_FARTHEST_BIN < place < _FARTHEST_BIN:
+        walls.tally[OVERFLOWS] += 1
+        return -1
     length = wall[LENGTH]
     if not length:
         wall[LOW], length = place, 1

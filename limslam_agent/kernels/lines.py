@@ -16,6 +16,9 @@ from limslam_env.geometry import FloatArray, IntArray
 MAX_CANDIDATES = 200
 """Largest number of lines that the Hough transform returns."""
 
+MOST_BINS = 20_000_000
+"""Most bins of the Hough transform: those of points 1 km apart, with the usual bins."""
+
 
 @compiled
 def num_angles(step: float) -> int:
@@ -29,17 +32,20 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
     """Lines (k, 2) as (r, theta), m and rad, that enough points (n, 2), m, vote for, best first.
 
     Bins have a size of ``r_step``, m, by ``theta_step``, rad; r may be negative, and theta is in
-    [0, pi).
+    [0, pi). Points that would need more than ``MOST_BINS`` are too far apart for a line.
     """
     single, step = np.float32, r_step
     reach = 0.0
     for i in range(len(points)):
         reach = max(reach, math.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1]))
-    low = -reach - step
+    angles, low = num_angles(theta_step), -reach - step
+    # A comparison with NaN is false.
+    if not (angles + 2) * ((reach + step - low + 1.0) / step + 2.0) < MOST_BINS:
+        return np.empty((0, 2))
     inverse = single(1.0) / single(step)
     lowest = single(low) * inverse
-    angles, bins = num_angles(theta_step), int(np.rint((reach + step - low + 1.0) / step))
-    counts, wide = np.zeros((angles + 2) * (bins + 2), dtype=np.int32), bins + 2
+    wide = int(np.rint((reach + step - low + 1.0) / step)) + 2
+    counts = np.zeros((angles + 2) * wide, dtype=np.int32)
     most = len(points) * angles // max(min_votes, 1)
     found, size, angle = np.empty(most, dtype=np.int64), 0, single(0.0)
     xs, ys, places = (

@@ -23,7 +23,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import algebra, compiled, entry
+from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -43,7 +43,7 @@ def read_share(cosine: float, width: float) -> float:
     return steep if sine <= math.sin(width) else steep / turned
 
 
-@algebra
+@compiled
 def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
     """Direction in the robot's frame, rad, of the ray that measures a line with its normal at
     ``theta`` as a beam does.
@@ -57,7 +57,7 @@ def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
     return angle
 
 
-@algebra
+@compiled
 def predict_ranges(
     x: FloatArray,
     start: int,
@@ -95,7 +95,7 @@ def predict_ranges(
         out[i, 4], out[i, 5], out[i, 6] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor, cosine
 
 
-@algebra
+@compiled
 def end_of_beam(
     x: FloatArray, at: int, reading: FloatArray, angle: float, reach: float
 ) -> tuple[float, float]:
@@ -109,7 +109,7 @@ def end_of_beam(
     )
 
 
-@algebra
+@compiled
 def fill_transport(
     x: FloatArray,
     size: int,

@@ -20,7 +20,7 @@ from limslam_agent.kernels.algebra import (
     sort_with,
     whiten,
 )
-from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import dense_block
 from limslam_agent.kernels.lines import fit_line
 from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
@@ -50,7 +50,7 @@ from limslam_agent.kernels.updates import covariance_of, gathered, involved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
-@algebra
+@compiled
 def fit_segment(
     x: FloatArray,
     start: int,
@@ -126,7 +126,7 @@ def fit_segment(
     return left, clear[:count]
 
 
-@algebra
+@compiled
 def place_along(
     x: FloatArray,
     start: int,
@@ -157,7 +157,7 @@ def place_along(
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
 
 
-@algebra
+@compiled
 def describe(
     along: FloatArray,
     number: int,
@@ -190,7 +190,7 @@ def describe(
     segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_DIVISOR)
 
 
-@algebra
+@compiled
 def foot_of(points: FloatArray, members: IntArray, r: float, theta: float) -> tuple[float, float]:
     """Projection, m, of the points' mean on a line."""
     cos, sin, along = math.cos(theta), math.sin(theta), 0.0
@@ -200,7 +200,7 @@ def foot_of(points: FloatArray, members: IntArray, r: float, theta: float) -> tu
     return r * cos - along * sin, r * sin + along * cos
 
 
-@algebra
+@compiled
 def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float, float]:
     """Least-squares solution of the first of three columns by the other two, which are made
     orthonormal: ``basis``.
@@ -218,7 +218,7 @@ def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float
     return (dot(values, 1, 0, count) - b * second) / a, second
 
 
-@algebra
+@compiled
 def bend(
     along: FloatArray,
     ordered: FloatArray,
@@ -259,7 +259,7 @@ def bend(
     return 1.0 if is_kinked or curved > CURVE_GATE else 0.0
 
 
-@algebra
+@compiled
 def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
     """Largest chi-square that a kink gains, the index of that kink, and its angle, rad."""
     most, best, angle = -1.0, 0, 0.0
@@ -275,7 +275,7 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
     return most, best, angle
 
 
-@algebra
+@compiled
 def mark_loose_ends(
     along: FloatArray,
     ordered: FloatArray,
@@ -310,7 +310,7 @@ def mark_loose_ends(
                     loose[clear[i]] = True
 
 
-@algebra
+@compiled
 def cut_part(
     order: IntArray,
     first: int,

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
-from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import (
     change_of_transport,
     dense_block,
@@ -25,7 +25,7 @@ from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_DIVIS
 from limslam_env.geometry import FloatArray, IntArray
 
 
-@algebra
+@compiled
 def clear_readings(
     x: FloatArray,
     start: int,
@@ -47,7 +47,7 @@ def clear_readings(
     return chosen[:size]
 
 
-@algebra
+@compiled
 def gathered(values: np.ndarray, chosen: IntArray) -> np.ndarray:
     """Some of the values."""
     found = np.empty(len(chosen), dtype=values.dtype)
@@ -56,7 +56,7 @@ def gathered(values: np.ndarray, chosen: IntArray) -> np.ndarray:
     return found
 
 
-@algebra
+@compiled
 def involved(
     places: IntArray, chosen: IntArray, num_clones: int, start: int, line: int
 ) -> tuple[IntArray, IntArray]:
@@ -85,7 +85,7 @@ def involved(
     return columns[:size], begins
 
 
-@algebra
+@compiled
 def covariance_of(
     block: FloatArray, begins: IntArray, H: FloatArray, variances: FloatArray
 ) -> FloatArray:
@@ -114,7 +114,7 @@ def covariance_of(
     return S
 
 
-@algebra
+@compiled
 def since(x: FloatArray, before: FloatArray, columns: IntArray, begin: int, H: FloatArray) -> float:
     """What the change of the state since ``before`` makes of a range, by its row of H."""
     at, line, total = columns[begin], columns[-2], 0.0
@@ -125,7 +125,7 @@ def since(x: FloatArray, before: FloatArray, columns: IntArray, begin: int, H: F
     return total
 
 
-@algebra
+@compiled
 def huber_weight(residual: float, variance: float, huber: float) -> float:
     """Weight of a range: less than 1 beyond ``huber`` standard deviations, unless that is 0."""
     if huber <= 0.0:
@@ -133,7 +133,7 @@ def huber_weight(residual: float, variance: float, huber: float) -> float:
     return min(1.0, huber * math.sqrt(variance) / max(abs(residual), LEAST_DIVISOR))
 
 
-@algebra
+@compiled
 def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
     """H (m, width) with its zeros."""
     dense = np.zeros((len(begins), width))
@@ -180,7 +180,7 @@ def compare_readings(
     return (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
 
 
-@algebra
+@compiled
 def set_gained(
     rows: FloatArray,
     columns: IntArray,
@@ -217,7 +217,7 @@ def set_gained(
         S[i, i] += variances[i]
 
 
-@algebra
+@compiled
 def iterate(
     x: FloatArray,
     P: FloatArray,

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from limslam_agent.readings import as_readings
 from limslam_agent.safe_files import load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.geometry.numbers import LARGEST_COORDINATE
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.messages import one_line
 
@@ -33,6 +34,8 @@ MOST_BEAMS = 4096
 
 # m between two events. A longer motion is an error of the log.
 LONGEST_JUMP = 50.0
+
+_LONGEST_TIME = 1e12  # s, 30,000 years; a float then still divides a millisecond
 
 
 class LogError(ValueError):
@@ -93,7 +96,8 @@ class RecordedLog:
     Raises
     ------
     ValueError
-        If a shape does not fit the others, or a number other than a range is not finite.
+        If a shape does not fit the others, or a number other than a range is not finite or too
+        large.
     """
 
     robot: RobotSpec
@@ -349,8 +353,13 @@ def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bo
         raise ValueError(f"{name} has shape {array.shape}, not {shape}")
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} does not hold numbers")
+    if not finite:
+        return
     bad = ~np.isfinite(array)
-    if finite and bad.any():
+    if bad.any():
         raise ValueError(
             f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}"
         )
+    largest = _LONGEST_TIME if name == "time" else LARGEST_COORDINATE
+    if np.abs(array, dtype=float).max(initial=0.0) > largest:
+        raise ValueError(f"{name} holds a number above {largest:g}: is it in metres or seconds?")

@@ -17,6 +17,7 @@ from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import LARGE_CORRECTION
+from limslam_env.geometry.numbers import check_poses
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
@@ -80,10 +81,16 @@ class FrameMapper:
         -------
         Whether a renewal in this step has moved the path far: plans and copies made before mean
         nothing in the moved map.
+
+        Raises
+        ------
+        ValueError
+            If the estimate has left all bounds.
         """
         begin, before = time.perf_counter(), self.slam.poses
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
+        check_poses("the estimated pose", self.slam.poses)
         off = self.slam.poses - compose(before, np.array(self.slam.increments))
         if (
             np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION

@@ -41,6 +41,11 @@ class Frames:
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig) -> None:
+        if not isinstance(robot, RobotSpec) or not isinstance(config, AgentConfig):
+            raise TypeError(
+                "a mapper needs a RobotSpec and an AgentConfig, in this order, not "
+                f"{type(robot).__name__} and {type(config).__name__}"
+            )
         self.robot, self.config = robot, config
 
     def _begin(self, slam: LineSlam) -> None:

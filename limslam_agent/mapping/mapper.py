@@ -27,6 +27,7 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import check_poses, floats
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
@@ -146,14 +147,13 @@ class Mapper(Frames):
         ValueError
             If a start pose has another shape or is not finite.
         """
-        starts = np.array(start_pose, dtype=float, ndmin=2)
+        poses = floats(start_pose)
+        starts = np.atleast_2d(poses)
         if starts.ndim != 2 or starts.shape[0] == 0 or starts.shape[1] != 3:
             raise ValueError(
-                "a start pose has the shape (3,), or (n, 3) for n robots, not "
-                f"{np.shape(start_pose)}"
+                f"a start pose has the shape (3,), or (n, 3) for n robots, not {poses.shape}"
             )
-        if not np.isfinite(starts).all():
-            raise ValueError(f"start poses must be finite, not {starts.tolist()}")
+        check_poses("start poses", starts)
         self._restarts = 0
         self._start_at(starts, LineSlam(self.robot, self.config, starts))
 

@@ -17,7 +17,11 @@ from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.numbers import check_count, floats
 from limslam_env.interface import Observation, RobotSpec
+
+MOST_ROBOTS = 64
+"""Most robots of a team."""
 
 # cells that teammates discover, after which a robot that had finished looks for frontiers again
 _NEWS = 50
@@ -99,8 +103,7 @@ class LimSlamTeam:
         prior_map: SavedMap | None = None,
         unknown_starts: bool = False,
     ) -> None:
-        if num_robots < 1:
-            raise ValueError(f"a team has one robot or more, not {num_robots}")
+        check_count("the number of robots in a team", num_robots, MOST_ROBOTS)
         if policies is not None and len(policies) != num_robots:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
         if unknown_starts and (num_robots != 2 or prior_map is not None):
@@ -126,7 +129,7 @@ class LimSlamTeam:
             If there is not one pose for each robot, or a pose is not finite.
         """
         del seed
-        poses = np.asarray(start_poses, dtype=float)
+        poses = floats(start_poses)
         if poses.shape != (self.num_robots, 3):
             raise ValueError(
                 f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not "
@@ -304,7 +307,7 @@ class LimSlamAgent:
         ValueError
             If the pose has another shape or is not finite.
         """
-        self._team.reset(np.asarray(start_pose, dtype=float)[None], seed)
+        self._team.reset(floats(start_pose)[None], seed)
 
     def act(self, observation: Observation) -> FloatArray:
         """Wheel speeds (2,), left and right, as fractions of the maximum, for one observation.

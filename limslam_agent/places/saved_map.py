@@ -79,8 +79,10 @@ def _landmark(number: int, found: dict[str, Any], walls: int) -> Landmark:
     ):
         raise ValueError(f"landmark {number} has wrong covariances, ends or segments")
     numbers = [float(found["r"]), float(found["theta"]), *covariance.ravel(), *ends.ravel()]
-    if not np.isfinite(numbers).all() or np.linalg.eigvalsh(covariance)[0] < -1e-12:
-        raise ValueError(f"landmark {number} has numbers that are not finite, or no covariance")
+    if not np.abs(numbers).max() <= 1e6 or np.linalg.eigvalsh(covariance)[0] < -1e-12:
+        raise ValueError(
+            f"landmark {number} has numbers that are not finite or above 1e6, or no covariance"
+        )
     return Landmark(
         numbers[0], numbers[1], covariance, ends, int(found["observations"]), number, segments
     )

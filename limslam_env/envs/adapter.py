@@ -13,8 +13,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig, bounds_of
-from limslam_env.envs.arguments import PlaceSource, floats, given, is_random, reset_options
+from limslam_env.envs.arguments import PlaceSource, given, is_random, reset_options
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import floats
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described, one_line
 from limslam_env.rendering.painter import Overlay, Painter

@@ -5,10 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeAlias, TypeGuard, TypeVar
 
-import numpy as np
-
 from limslam_env.config import NoiseConfig, RewardConfig
-from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described, one_line
 from limslam_env.worlds.formats.loading import WorldSource, load_world
@@ -30,6 +27,17 @@ reset.
 
 MAX_ROBOTS = 8
 
+MOST_ENVS = 1 << 22
+"""Most environments of a batch."""
+
+MOST_STEPS = 10**9
+"""Most steps of an episode that has a limit."""
+
+MOST_THREADS = 1024
+
+MOST_PLANS = 100_000
+"""Most floor plans that are made beforehand."""
+
 Kind = TypeVar("Kind", RobotSpec, NoiseConfig, RewardConfig)
 
 
@@ -47,14 +55,15 @@ def given(name: str, value: Any, kind: type[Kind]) -> Kind:
     )
 
 
-def whole(name: str, value: Any, otherwise: str = "") -> int:
-    """A whole number of at least 1; a ValueError otherwise, which adds the alternatives that
+def whole(name: str, value: Any, most: int, otherwise: str = "") -> int:
+    """A whole number from 1 to ``most``; a ValueError otherwise, which adds the alternatives that
     ``otherwise`` names.
     """
     number = _index(value)
-    if number is None or number < 1:
+    if number is None or not 1 <= number <= most:
+        limit = "1 or more" if number is None or number < 1 else f"{most} or less"
         raise ValueError(
-            f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}"
+            f"{name} must be a whole number, {limit}{otherwise}, not {described(value)}"
         )
     return number
 
@@ -63,14 +72,6 @@ def check_robots(num_robots: Any) -> None:
     """Refuse a number of robots that is not a whole number from 1 to 8, with a ValueError."""
     if _index(num_robots) not in range(1, MAX_ROBOTS + 1):
         raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
-
-
-def floats(value: Any) -> FloatArray:
-    """A value as an array of floats; an empty one where it is no array of numbers."""
-    try:
-        return np.asarray(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        return np.zeros(0)
 
 
 def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
@@ -119,12 +120,13 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
         return None
     if not (isinstance(source, FloorPlanConfig) or is_random(source)):
         raise ValueError("plans are for worlds that are drawn")
-    seeds = plans if isinstance(plans, Sequence) else range(_index(plans) or 0)
-    found = [seed for seed in map(_index, seeds) if seed is not None and seed >= 0]
+    seeds = plans if isinstance(plans, Sequence) else range(min(_index(plans) or 0, MOST_PLANS + 1))
+    known = map(_index, seeds if len(seeds) <= MOST_PLANS else ())
+    found = [seed for seed in known if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):
         raise ValueError(
-            "plans must be 1 or more, or seeds of 0 and more, whole numbers, not "
-            f"{described(plans)}"
+            "plans must be 1 or more, or seeds of 0 and more, whole numbers, and at most "
+            f"{MOST_PLANS} plans, not {described(plans)}"
         )
     return found
 

@@ -13,15 +13,18 @@ from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.places import Places
 from limslam_env.envs.adapter import Configured, info_of, observation_of
 from limslam_env.envs.arguments import (
+    MOST_ENVS,
+    MOST_STEPS,
+    MOST_THREADS,
     BatchSource,
     Plans,
-    floats,
     reset_options,
     seeds_of,
     whole,
     worlds_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import floats
 from limslam_env.messages import described
 from limslam_env.worlds.world import World
 
@@ -65,13 +68,11 @@ class Batched(Configured):
         **arguments: Any,
     ) -> None:
         """Take a batch's arguments; its class documents them and the errors raised."""
-        num_envs = whole("num_envs", num_envs)
-        max_steps = (
-            None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
-        )
-        num_threads = (
-            None if num_threads is None else whole("num_threads", num_threads, ", or None")
-        )
+        num_envs = whole("num_envs", num_envs, MOST_ENVS)
+        if max_steps is not None:
+            max_steps = whole("the steps of an episode", max_steps, MOST_STEPS, ", or None")
+        if num_threads is not None:
+            num_threads = whole("num_threads", num_threads, MOST_THREADS, ", or None")
         self._configure(**arguments)
         self._num_robots, self.num_envs = num_robots, num_envs
         source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)

@@ -22,7 +22,7 @@ from limslam_env.envs.adapter import (
     observation_space,
     wheel_speeds,
 )
-from limslam_env.envs.arguments import PlaceSource, check_robots, whole
+from limslam_env.envs.arguments import MOST_STEPS, PlaceSource, check_robots, whole
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 
@@ -96,7 +96,7 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
     ) -> None:
         check_robots(num_robots)
         if max_cycles is not None:
-            whole("max_cycles", max_cycles, ", or None")
+            whole("max_cycles", max_cycles, MOST_STEPS, ", or None")
         self._set_up(
             world,
             num_robots,

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from limslam_env.geometry import BoolArray, FloatArray, no_rows
+from limslam_env.geometry.numbers import LARGEST_COORDINATE, is_number
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
 from limslam_env.messages import one_line
 from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
@@ -75,9 +76,9 @@ class World:
         obstacles = tuple(_frozen(polygon, "obstacles", 2) for polygon in self.obstacles)
         object.__setattr__(self, "obstacles", obstacles)
         if len(self.size) != 2 or not all(
-            math.isfinite(side) and 0.0 < side <= MAX_SIDE for side in self.size
+            is_number(side) and 0.0 < side <= MAX_SIDE for side in self.size
         ):
-            sides = ", ".join(f"{side:g}" for side in self.size)
+            sides = ", ".join(f"{side:g}" if is_number(side) else str(side) for side in self.size)
             raise WorldError(
                 f"size must be two lengths up to {MAX_SIDE:g} m, not [{sides}]: are they in m?"
             )
@@ -166,7 +167,7 @@ class World:
 
     def _check_starts(self, starts: FloatArray, radius: float, label: Callable[[int], str]) -> None:
         is_pose = (
-            np.isfinite(starts).all(axis=1)
+            (np.abs(starts) <= LARGEST_COORDINATE).all(axis=1)
             if starts.ndim == 2 and starts.shape[1] == 3
             else np.zeros(1, bool)
         )
@@ -229,9 +230,11 @@ def _frozen(value: Any, name: str, width: int) -> FloatArray:
         array = no_rows(width)
     if array.ndim != 2 or array.shape[1] != width:
         raise WorldError(f"{name} must have {width} numbers a row, not shape {array.shape}")
-    if not np.isfinite(array).all():
-        row = int(np.argwhere(~np.isfinite(array))[0, 0])
-        raise WorldError(f"{name}[{row}] holds a number that is not finite")
+    bad = ~(np.abs(array) <= LARGEST_COORDINATE)
+    if bad.any():
+        row = int(np.argwhere(bad)[0, 0])
+        kind = f"above {LARGEST_COORDINATE:g}" if np.isfinite(array[row]).all() else "not finite"
+        raise WorldError(f"{name}[{row}] holds a number that is {kind}")
     array.setflags(write=False)
     return array
 

@@ -168,11 +168,17 @@ def test_beams_given_as_a_list_are_as_good_as_a_tuple():
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        ({"radius": 60.0}, "a robot's radius is at most 5 m, not 60: is it in m?"),
-        ({"axle": 115.0}, "a robot's axle is at most 10 m, not 115: is it in m?"),
+        (
+            {"radius": 60.0},
+            "radius must be a number from 0.001 to 5 m, not 60.0: is it in m?",
+        ),
+        (
+            {"axle": 115.0},
+            "axle must be a number from 0.001 to 10 m, not 115.0: is it in m?",
+        ),
         (
             {"max_wheel_speed": 300.0},
-            "a robot's max_wheel_speed is at most 100 m/s, not 300: is it in m/s?",
+            "max_wheel_speed must be a number from 0.0001 to 100 m/s, not 300.0",
         ),
     ],
 )
@@ -397,3 +403,40 @@ def test_the_nominal_noise_is_the_upper_end_of_what_a_reset_may_draw():
     assert MAKERS["parallel"](sensor_noise=0.02).nominal_noise == limslam_env.NominalNoise(0.02)
     ideal = limslam_env.NoiseConfig(wheel_variance=0.0)
     assert MAKERS["batch"](noise=ideal).nominal_noise == limslam_env.NominalNoise()
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: RobotSpec(radius=1e-6), "radius must be a number from 0.001 to 5 m"),
+        (lambda: RobotSpec(control_period=1e-300), "control_period must be a number from 0.0001"),
+        (lambda: RobotSpec(control_period=1e6), "control_period must be a number from 0.0001"),
+        (lambda: RobotSpec(axle=True), "axle must be a number"),
+        (lambda: SensorSpec(0.1, 0.0, 0.0, period=2.5), "period, in steps, must be a whole number"),
+        (lambda: SensorSpec(0.1, 0.0, 0.0, period=True), "period, in steps, must be a whole"),
+        (lambda: SensorSpec(0.1, 0.0, 1j), "finite numbers"),
+        (lambda: limslam_env.RewardConfig(step=math.nan), "the reward step must be a number"),
+        (lambda: LimSlamEnv("env1", coverage_goal=True), "coverage_goal must lie in"),
+        (lambda: NoiseConfig(dropout=True), "dropout must be a number"),
+        (lambda: limslam_env.NominalNoise(1e300), r"noise \(range_std\) must be a number"),
+        (lambda: limslam_env.FloorPlanConfig(width=1j), "width must be a length"),
+        (lambda: World("w", (10.0, True), [[0, 0, 9, 9]]), "size must be two lengths"),
+        (
+            lambda: World("w", (10.0, 10.0), [[0, 0, 9, 9]], doors=[[1e300, 0, 0, 1]]),
+            r"doors\[0\] holds a number that is above 1e\+07",
+        ),
+        (lambda: MAKERS["single"](world="env1").reset(options={"start": (1, 2, 1e300)}), "finite"),
+        (
+            lambda: gym.make_vec("LimSlam-Env1-v0", num_envs=10**9),
+            "num_envs must be a whole number, 4194304 or less",
+        ),
+        (
+            lambda: gym.make_vec("LimSlam-Env1-v0", num_envs=2, world="random", plans=10**400),
+            "at most 100000 plans",
+        ),
+    ],
+)
+def test_a_number_that_is_merely_finite_or_none_at_all_is_refused(make, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)

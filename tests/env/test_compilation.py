@@ -70,23 +70,59 @@ def test_sources_that_do_not_exist_are_named():
         source_stamp("limslam_env.nothing")
 
 
-def test_without_numbas_private_attribute_nothing_is_kept(package):
-    code = f"""
-import sys
-from numba.core import caching
-sys.path.insert(0, {str(package.parent)!r})
-class WithoutStamp(caching.IndexDataCacheFile):
-    def __init__(self, *arguments, **named):
-        super().__init__(*arguments, **named)
-        self.renamed = self.__dict__.pop("_source_stamp")
-caching.IndexDataCacheFile = WithoutStamp
-{MAIN}"""
-    command = [sys.executable, "-B", "-c", code]
-    output = subprocess.run(
-        command, check=True, capture_output=True, text=True, cwd=package.parent
-    ).stdout
-    assert output.split() == ["41", "0", "1"]
+def test_by_numbas_public_interface_nothing_is_kept(package, monkeypatch):
+    monkeypatch.setenv("LIMSLAM_PUBLIC_NUMBA", "1")
+    assert called_anew(package) == [41, 0, 0]
     assert not list(package.rglob("*.nbi"))
+
+
+def cut(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def with_zeros(content: bytes) -> bytes:
+    """A file of the right size with a part that never reached the disk."""
+    half = len(content) // 2
+    return content[:half] + bytes(len(content) - half)
+
+
+@pytest.mark.parametrize("ending", ["nbi", "nbc"])
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        cut,
+        with_zeros,
+        lambda content: content[:-1],
+        lambda _: b"",
+        lambda _: b"this is no compiled code",
+        lambda content: bytes(len(content)),
+    ],
+    ids=["cut", "half zeros", "a byte short", "empty", "another text", "zeros"],
+)
+def test_a_damaged_file_is_as_good_as_an_absent_one(package, ending, damaged):
+    assert called_anew(package) == [41, 0, 1]
+    (path,) = package.rglob(f"*doubled*.{ending}")
+    path.write_bytes(damaged(path.read_bytes()))
+    assert called_anew(package) == [41, 0, 1]
+    assert called_anew(package) == [41, 1, 0]
+
+
+@pytest.mark.parametrize("place", [0.1, 0.3, 0.5, 0.7, 0.9])
+def test_machine_code_with_a_wrong_byte_is_never_run(package, place):
+    called_anew(package)
+    (path,) = package.rglob("*doubled*.nbc")
+    content = bytearray(path.read_bytes())
+    content[int(place * len(content))] ^= 0xFF
+    path.write_bytes(content)
+    assert called_anew(package) == [41, 0, 1]
+
+
+def test_a_kernel_runs_though_its_files_cannot_be_replaced(package):
+    called_anew(package)
+    for path in package.rglob("*doubled*.nb?"):
+        path.unlink()
+        path.mkdir()
+    assert called_anew(package) == [41, 0, 1]
 
 
 INNER = """import numpy as np

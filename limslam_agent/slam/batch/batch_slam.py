@@ -35,9 +35,10 @@ from limslam_agent.slam.consistent.pending_readings import (
     TURNED_AT,
 )
 from limslam_agent.slam.consistent.wall_map import WallExtent
-from limslam_env.compilation import algebra, next_of
+from limslam_env.compilation import compiled, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
+from limslam_env.geometry.numbers import LARGEST_COORDINATE
 from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
@@ -270,12 +271,15 @@ class BatchSlam:
 
 
 def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> None:
-    bad = chosen[~np.isfinite(values[chosen]).all(axis=1)]
+    bad = chosen[~(np.abs(values[chosen]) <= LARGEST_COORDINATE).all(axis=1)]
     if len(bad):
-        raise ValueError(f"the {name} of robot {bad[0]} must be finite, not {values[bad[0]]}")
+        raise ValueError(
+            f"the {name} of robot {bad[0]} must be finite, and at most {LARGEST_COORDINATE:g} m or "
+            f"rad, not {values[bad[0]]}"
+        )
 
 
-@algebra
+@compiled
 def state_of(states: States, number: int) -> States:
     """The state of one robot, as views of the arrays."""
     ekf, walls = states.filter, states.walls
@@ -306,7 +310,7 @@ def state_of(states: States, number: int) -> States:
     )
 
 
-@algebra
+@compiled
 def accept(
     state: States, ranges: FloatArray, wheels: FloatArray, spec: Spec, measured: BoolArray
 ) -> FloatArray:
@@ -433,7 +437,7 @@ def step_some(
         place = next_of(begun)
 
 
-@algebra
+@compiled
 def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
     ekf = state.filter

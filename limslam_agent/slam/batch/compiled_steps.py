@@ -10,7 +10,7 @@ from limslam_agent.kernels.covariance import move_pose
 from limslam_agent.kernels.extents import clear_along_beams
 from limslam_agent.slam.consistent import association, clone_filter, pending_readings, separate_bias
 from limslam_agent.slam.core import contact, encoder_ticks, motion
-from limslam_env.compilation import algebra, entry_of
+from limslam_env.compilation import compiled, entry_of
 from limslam_env.geometry import se2
 
 entry = entry_of(
@@ -24,7 +24,7 @@ entry = entry_of(
 """The decorator for kernels of the batch that Python calls."""
 
 
-@algebra
+@compiled
 def note_nothing(*_: Any) -> None:
     """A batch estimates no constant errors beside its filters."""
 
@@ -41,7 +41,7 @@ def compiled_step(function: Any) -> Any:
     if function in _INSTEAD:
         return _INSTEAD[function]
     if hasattr(function, "py_func"):
-        return algebra(function.py_func)
+        return compiled(function.py_func)
     names = dict(function.__globals__)
     for name in function.__code__.co_names:
         used = names.get(name)
@@ -49,7 +49,7 @@ def compiled_step(function: Any) -> Any:
             isinstance(used, FunctionType) and used.__module__.startswith("limslam_")
         ):
             names[name] = compiled_step(used)
-    return algebra(FunctionType(function.__code__, names, function.__name__))
+    return compiled(FunctionType(function.__code__, names, function.__name__))
 
 
 process, prune = compiled_step(association.process), compiled_step(association.prune)

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import floats
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import described
 
 
 class FrontEnd:
@@ -51,13 +53,15 @@ class FrontEnd:
         TypeError
             If it is not a dictionary.
         ValueError
-            If its ranges have the wrong shape.
+            If its ranges have the wrong shape, or are no real numbers.
         """
         _check_kind(observation)
-        if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
-            shape = np.shape(observation["ranges"])
+        if "ranges" not in observation:
+            return
+        if floats(observation["ranges"]).shape != (len(self._robot.beams),):
             raise ValueError(
-                f"ranges must be {len(self._robot.beams)} numbers, not of shape {shape}"
+                f"ranges must be {len(self._robot.beams)} numbers, not "
+                f"{described(observation['ranges'])}"
             )
 
     def accept(self, observation: Observation) -> None:

@@ -4,14 +4,16 @@ odometry.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.shared import OdometryConfig
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.numbers import floats
 from limslam_env.geometry.se2 import arc, arc_derivatives, arc_jacobian, wheels_to_arc
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.messages import described
 
 # The arc model is not exact. The least variance also keeps the covariance of a standing robot
 # regular.
@@ -22,6 +24,9 @@ TOO_FAST = 300.0
 """A wheel that travels this many times as far in a step as the robot's largest wheel speed allows
 is refused.
 """
+
+LARGEST_MOTION = 1000.0
+"""Largest motion in one step, m or rad, that is computed with."""
 
 _SURE_TURN = 4.0  # in standard deviations: a smaller turn may be noise only
 
@@ -173,22 +178,23 @@ def motion_of(
     Raises
     ------
     ValueError
-        If it reports neither of them, or numbers that are not finite.
+        If it reports neither of them, or numbers that are not finite or above ``LARGEST_MOTION``.
     """
     if "wheels" in observation:
-        wheels = np.asarray(observation["wheels"], dtype=float)
-        _check(wheels, 2, "wheels")
-        return motion_from_wheels(wheels, robot, noise)
+        return motion_from_wheels(_numbers(observation["wheels"], 2, "wheels"), robot, noise)
     if "odometry" in observation:
-        increment = np.asarray(observation["odometry"], dtype=float)
-        _check(increment, 3, "odometry")
-        return motion_from_odometry(increment, odometry)
+        return motion_from_odometry(_numbers(observation["odometry"], 3, "odometry"), odometry)
     raise ValueError("an observation needs 'wheels' or 'odometry'")
 
 
-def _check(values: FloatArray, size: int, key: str) -> None:
-    if values.shape != (size,) or not all(map(math.isfinite, values.tolist())):
-        raise ValueError(f"{key} must be {size} finite numbers, not {values!r}")
+def _numbers(values: Any, size: int, key: str) -> FloatArray:
+    array = floats(values)
+    if array.shape != (size,) or not all(abs(each) <= LARGEST_MOTION for each in array.tolist()):
+        raise ValueError(
+            f"{key} must be {size} finite numbers, at most {LARGEST_MOTION:g} m or rad, not "
+            f"{described(values)}"
+        )
+    return array
 
 
 def longest_travel(robot: RobotSpec) -> float:
@@ -200,18 +206,16 @@ def longest_travel(robot: RobotSpec) -> float:
 
 
 def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> None:
-    """Refuse wheel travel that the robot cannot drive in a step. Shapes and NaN are not checked.
+    """Refuse wheel travel that the robot cannot drive in a step.
 
     Raises
     ------
     ValueError
-        If a wheel travels farther than ``longest``, m.
+        If it is not two finite numbers, or a wheel travels farther than ``longest``, m.
     """
     if "wheels" not in observation:
         return
-    farthest = max(
-        map(abs, np.asarray(observation["wheels"], dtype=float).ravel().tolist()), default=0.0
-    )
+    farthest = max(map(abs, floats(observation["wheels"]).ravel().tolist()), default=0.0)
     if math.isfinite(farthest) and farthest > longest:
         limit = f"{robot.max_wheel_speed:g} m/s for {robot.control_period:g} s"
         raise ValueError(
@@ -219,3 +223,4 @@ def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> 
             "wheels must be "
             "metres since the last observation, not ticks or millimetres"
         )
+    _numbers(observation["wheels"], 2, "wheels")

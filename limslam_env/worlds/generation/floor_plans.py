@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_env.config import Setting, bounds_of
+from limslam_env.config import Setting, bounds_of, lies_within
+from limslam_env.geometry.numbers import is_number
 from limslam_env.worlds.generation.furnishing import Polygon, Segment, corner_cut, furnish
 from limslam_env.worlds.generation.room_layout import (
     DOOR_MARGIN,
@@ -90,9 +91,9 @@ class FloorPlanConfig:
         ):
             _check_length(name, getattr(self, name))
         for name in ("corridor", "loops", "slanted"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
+            if not (is_number(getattr(self, name)) and 0.0 <= getattr(self, name) <= 1.0):
                 raise ValueError(f"{name} must lie between 0 and 1, not {getattr(self, name)}")
-        if not 0.0 <= self.obstacles <= MOST_OBSTACLES:
+        if not (is_number(self.obstacles) and 0.0 <= self.obstacles <= MOST_OBSTACLES):
             raise ValueError(
                 f"obstacles must be 0 to {MOST_OBSTACLES:g} per 10 m^2, not {self.obstacles}"
             )
@@ -208,8 +209,7 @@ def _world(
 
 
 def _check_length(name: str, setting: Setting) -> None:
-    low, high = bounds_of(setting)
-    if not (math.isfinite(high) and 0.0 < low <= high <= LONGEST_SIDE):
+    if not lies_within(setting, 0.0, LONGEST_SIDE) or bounds_of(setting)[0] <= 0.0:
         raise ValueError(
             f"{name} must be a length up to {LONGEST_SIDE:g} m, or a range of such, not {setting}"
         )

@@ -457,8 +457,8 @@ def test_each_step_of_the_warm_up_runs(name):
 
 
 SLOW = """
-from limslam_env import compilation
-compilation._SECONDS["slow"] = 7
+from limslam_env import kept_code
+kept_code._SECONDS["slow"] = 7
 import kernels
 print(kernels.slow(1), kernels.slow(2))
 """

@@ -87,7 +87,7 @@ def test_every_number_of_the_agent_has_bounds_that_its_default_keeps(name):
             bounds = [extra for extra in hints[number].__metadata__ if isinstance(extra, Bounds)]
             assert len(bounds) == 1
             assert isinstance(group, Bounded)
-            with pytest.raises(ValueError, match=f"^{number} must be a number from"):
+            with pytest.raises(ValueError, match=f"^{number} must be a (whole )?number from"):
                 replace(group, **{number: bounds[0].high * 2.0 + 1.0})
             with pytest.raises(ValueError, match=f"^{number} must be"):
                 replace(group, **{number: math.nan})
@@ -269,7 +269,10 @@ def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
 @pytest.mark.parametrize(
     ("robot", "words"),
     [
-        ("axle = -1.0", "--robot: robot.toml: a robot's axle must be positive, not -1"),
+        (
+            "axle = -1.0",
+            "--robot: robot.toml: a robot's axle must be a number from 0.001",
+        ),
         ("axel = 0.1", "--robot: robot.toml: axel: there is no such setting"),
         (
             "beams_deg = [0]\nbeams = [{x = 0.0, y = 0.0, angle = 0.0}]",
@@ -348,7 +351,7 @@ def test_paths_of_a_file_are_relative_to_it(tmp_path):
         ),
         (
             "[agent.estimator.pending]\nbatch = 0",
-            "agent.estimator.pending: batch must be a number from 1 to",
+            "agent.estimator.pending: batch must be a whole number from 1 to",
         ),
     ],
 )

@@ -5,7 +5,7 @@ from functools import reduce
 import numpy as np
 import pytest
 
-from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
+from limslam_agent import LimSlamAgent, LimSlamTeam, LineSlam, Mapper, preset
 from limslam_env import LimSlamParallelEnv, NominalNoise, RobotSpec
 from limslam_env.geometry import se2
 
@@ -119,7 +119,7 @@ def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
     ("start", "message"),
     [
         (np.zeros(2), r"shape \(3,\), or \(n, 3\) for n robots, not \(2,\)"),
-        (np.array([0.0, np.nan, 0.0]), "must be finite, not"),
+        (np.array([0.0, np.nan, 0.0]), "must be finite, and at most"),
     ],
 )
 def test_a_bad_start_pose_is_refused_in_one_line(start, message):
@@ -184,3 +184,74 @@ def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(
     for observations in steps[20:23]:
         mapper.step(*observations)
     assert len(begun) == restarts
+
+
+RANGES = np.array([0.8, 0.9, 1.5, 1.5, 0.9, 0.8])
+
+
+def standing(**changes):
+    return {"ranges": RANGES, "wheels": np.array([0.03, 0.03]), **changes}
+
+
+@pytest.mark.parametrize("name", ["paper", "consistent"])
+@pytest.mark.parametrize("place", [1.1e7, 1e20, 1e300])
+def test_a_start_pose_that_is_merely_finite_is_refused(name, place):
+    with pytest.raises(ValueError, match=r"start poses must be finite, and at most 1e\+07 m"):
+        Mapper(ROBOT, preset(name, NOISE), np.array([place, 0.0, 0.0]))
+    with pytest.raises(ValueError, match=r"start poses must be finite, and at most 1e\+07 m"):
+        LimSlamAgent(ROBOT, preset(name, NOISE)).reset(np.array([place, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("name", ["paper", "consistent"])
+@pytest.mark.parametrize("start", [(1e7, -1e7, 0.0), (0.0, 0.0, 1e7)])
+def test_the_farthest_start_pose_is_mapped_from(name, start):
+    mapper = Mapper(ROBOT, preset(name, NOISE), np.array(start))
+    for _ in range(60):
+        mapper.step(standing())
+    mapper.finish()
+    assert np.hypot(*(mapper.snapshot().pose[:2] - np.array(start[:2]))) < 3.0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"ranges": RANGES * (1.0 + 1.0j)},
+        {"ranges": ["near"] * 6},
+        {"ranges": [10**400] * 6},
+        {"ranges": [[1.0], 1.0, 1.0, 1.0, 1.0, 1.0]},
+        {"wheels": np.array([1.0j, 0.0])},
+        {"wheels": [10**400, 0]},
+        {"wheels": None},
+    ],
+    ids=lambda changes: str(changes)[:30],
+)
+def test_readings_that_are_no_real_numbers_are_refused_and_change_nothing(changes):
+    mapper = Mapper(ROBOT, CONFIG)
+    with pytest.raises(ValueError, match=r"(ranges|wheels) must be [26]") as refusal:
+        mapper.step(standing(**changes))
+    assert "\n" not in str(refusal.value)
+    assert mapper.slam.robots[0].step == -1
+
+
+@pytest.mark.parametrize("name", ["paper", "consistent"])
+@pytest.mark.parametrize("motion", [1e300, 1e20, 1001.0])
+def test_a_motion_that_is_merely_finite_is_refused(name, motion):
+    mapper = Mapper(ROBOT, preset(name, NOISE))
+    with pytest.raises(ValueError, match="odometry must be 3 finite numbers, at most 1000 m"):
+        mapper.step({"ranges": RANGES, "odometry": np.array([motion, 0.0, 0.0])})
+
+
+@pytest.mark.parametrize("name", ["paper", "consistent"])
+@pytest.mark.parametrize("has_ranges", [True, False])
+def test_an_estimate_that_leaves_all_bounds_ends_in_one_line(name, has_ranges):
+    mapper, told = Mapper(ROBOT, preset(name, NOISE)), {"odometry": np.array([1000.0, 0.0, 0.0])}
+    if has_ranges:
+        told["ranges"] = RANGES
+    with pytest.raises(ValueError, match="the estimated pose must be|the map has grown past"):
+        for _ in range(10_100):
+            mapper.step(told)
+
+
+def test_robot_and_settings_in_the_wrong_order_are_refused():
+    with pytest.raises(TypeError, match="a RobotSpec and an AgentConfig, in this order"):
+        LimSlamAgent(CONFIG, ROBOT)
