@@ -109,10 +109,12 @@ def parsed(app: typer.Typer, words: list[str]) -> None:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder of its own, with the world that the page of public names describes."""
+    """A folder of its own, with the world that the page of public names describes, and a plan."""
     page = blocks(ROOT / "docs" / "api.md")
     world = next(block for block in page if block.language == "toml" and "walls" in block.text)
     (tmp_path / "bedroom.toml").write_text(world.text, encoding="utf-8")
+    plan = "<svg xmlns='http://www.w3.org/2000/svg'><rect width='500' height='300'/></svg>"
+    (tmp_path / "plan.svg").write_text(plan, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -219,9 +221,8 @@ def test_a_command_runs_or_has_options_that_exist(words):
     parsed(APPS[name], arguments)
     short = SHORT.get((name, arguments[0]))
     files = [word.rpartition(":")[0] if ".py:" in word else word for word in arguments]
-    is_there = all(
-        Path(word).exists() for word in files if word.endswith((".yaml", ".json", ".py"))
-    )
+    read = (".yaml", ".json", ".py", ".png", ".svg", ".dxf")
+    is_there = all(Path(word).exists() for word in files if word.endswith(read))
     if short is not None and is_there and not NOT_SHORT.keys() & set(arguments):
         APPS[name]([*arguments, *short], standalone_mode=False)
 
