@@ -8,9 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from limslam_agent.logs.odometry_breaks import without_excursions
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
+from limslam_env.messages import counted
 
 MIN_RANGE = 0.02
 """Shorter readings (m) mean "no reading" or dirt on the window of a laser."""
@@ -87,10 +89,13 @@ def pose_log(
     ranges: FloatArray,
     has_scan: BoolArray,
     robot: RobotSpec | None = None,
+    notes: Sequence[str] = (),
+    gaps: Sequence[int] = (),
 ) -> RecordedLog:
     """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
 
-    The headings of ``odometry`` may include full turns. Of a robot that is not described only a
+    The headings of ``odometry`` may include full turns. Single poses that are off the path are
+    replaced. Of a robot that is not described only a
     radius of 0.2 m is assumed. The frame of the estimate is the robot's first pose, because the
     origin of odometry is arbitrary. Raises a ValueError if a number is not finite, or the odometry
     jumps or has impossible coordinates.
@@ -103,7 +108,20 @@ def pose_log(
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
-    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry)
+    odometry, off = without_excursions(time, odometry)
+    if len(off):
+        poses = f"{counted(len(off), 'odometry pose')}, the first one at {time[off[0]]:.1f} s,"
+        text = "off the path for a moment and replaced: are poses of two programs mixed?"
+        notes = (*notes, f"{poses} {'were' if len(off) > 1 else 'was'} {text}")
+    return RecordedLog(
+        robot,
+        time,
+        ranges,
+        has_scan,
+        odometry=odometry,
+        notes=tuple(notes),
+        gaps=tuple(gaps),
+    )
 
 
 def check_max_range(max_range: float) -> None:

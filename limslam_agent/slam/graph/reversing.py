@@ -49,7 +49,7 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     if data.max_range < AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
     views = LocalViews(data, config, _WINDOW)
-    stretches = _stretches(data.time, views.travel)
+    stretches = _stretches(data, views.driven)
     judged = [_judged(views, *each) for each in stretches.tolist()]
     if sum(_is_proof(each, config) for each in judged) < config.reversing.fewest:
         return data
@@ -84,7 +84,7 @@ def driven_backwards(
         return
     views = LocalViews(data, config, _WINDOW)
     travel = views.travel
-    for begin, end in _stretches(data.time, travel).tolist():
+    for begin, end in _stretches(data, views.driven).tolist():
         if travel[since] < travel[end] + AFTER <= travel[-1]:
             judged = _judged(views, begin, end)
             if judged[0] > 0.0:
@@ -127,15 +127,18 @@ def _judged(views: LocalViews, begin: int, end: int) -> tuple[float, float]:
     return (lead if backwards >= SCORES[0] else NO_MATCH), contradicted
 
 
-def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:
-    """First and last event (k, 2) of the stretches between stops."""
-    speeds = _speeds(np.maximum.accumulate(time), travel)
+def _stretches(data: LogData, travel: FloatArray) -> IntArray:
+    """First and last event (k, 2) of the stretches between stops. At a break of odometry, a robot
+    may have stopped.
+    """
+    speeds = _speeds(np.maximum.accumulate(data.time), travel)
     driving = speeds[np.diff(travel) > 0.0]
     moving = (
         speeds >= _SLOW * np.median(driving)
         if len(driving)
         else np.zeros(len(speeds), dtype=np.bool_)
     )
+    moving[data.breaks - 1] = False
     changes = np.diff(np.concatenate(([False], moving, [False])).astype(np.int64))
     found = np.column_stack((np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)))
     return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= LEAST_LENGTH])
