@@ -28,6 +28,8 @@ _TIMES_LONGER, _LEAST_GAP = 5.0, 1.0
 # In a gap, odometry has stopped counting if the robot drove before and after it, and reports less
 # than this share of the distance.
 _COUNTED = 0.2
+# A robot stands where its pose changes by less (m, m, rad), and its readings by less (m).
+_STANDING, _SAME_RANGE = np.array([0.01, 0.01, math.radians(1.0)]), 0.1
 # Standard deviations of the motion across a break, beside what the robot can do in its time, and
 # the largest ones: m, rad
 _STDS, _MOST_STDS = np.array([1.0, 0.5]), np.array([30.0, math.pi])
@@ -43,7 +45,7 @@ class OdometryBreak:
     row
         The event after the break.
     begin, end
-        Times of the events before and after it, s.
+        Times of the events before and after it, s from the beginning of the log.
     distance, turn
         Size of the motion that odometry reports, m and rad.
     is_jump
@@ -134,9 +136,13 @@ class _Motions:
     def break_at(self, step: int, *, is_jump: bool) -> OdometryBreak:
         """The break at a motion."""
         distance, turn = self.sizes[step].tolist()
-        stds = np.minimum(_STDS + self.usual * self.seconds[step], _MOST_STDS).tolist()
-        ends = self.time[step : step + 2].tolist()
-        return OdometryBreak(step + 1, *ends, distance, turn, is_jump, *stds)
+        position_std, heading_std = np.minimum(
+            _STDS + self.usual * self.seconds[step], _MOST_STDS
+        ).tolist()
+        begin, end = (self.time[step : step + 2] - self.time[0]).tolist()
+        return OdometryBreak(
+            step + 1, begin, end, distance, turn, is_jump, position_std, heading_std
+        )
 
 
 def odometry_breaks(
@@ -185,15 +191,94 @@ def without_excursions(time: FloatArray, poses: FloatArray) -> tuple[FloatArray,
     return mended, rows
 
 
-def times_without(times: FloatArray, wanted: FloatArray) -> BoolArray:
-    """Which times (k,), s, lie in a gap of the times (n,) of odometry, or outside of them."""
-    steps = np.diff(times)
-    usual = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
-    before = np.searchsorted(times, wanted, side="right") - 1
-    inside = (wanted >= times[0]) & (wanted <= times[-1])
-    after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
-    width = times[after] - times[np.maximum(before, 0)]
-    return ~inside | (width > max(_LEAST_GAP, _TIMES_LONGER * usual))
+@dataclass(frozen=True, eq=False)
+class SilentTimes:
+    """The times in which odometry does not tell where the robot was.
+
+    Attributes
+    ----------
+    spans
+        Begin and end (g, 2) of each, s.
+    """
+
+    spans: FloatArray
+
+    def hold(self, wanted: FloatArray) -> BoolArray:
+        """Which times (k,), s, are silent."""
+        found: BoolArray = np.zeros(len(wanted), dtype=np.bool_)
+        for begin, end in self.spans.tolist():
+            found |= (wanted > begin) & (wanted < end)
+        return found
+
+    def events_after(self, time: FloatArray) -> list[int]:
+        """The first event after each silent time, of events at times (n,), s."""
+        rows = [int(np.argmax(time >= end)) for end in self.spans[:, 1] if time[-1] >= end]
+        return sorted({row for row in rows if row > 0})
+
+    def notes(self, wanted: FloatArray) -> tuple[str, ...]:
+        """How many scans at times (k,), s, are left out, in a line."""
+        count = int(self.hold(wanted).sum())
+        if not count:
+            return ()
+        spans = (self.spans[:_MOST_NAMED] - wanted[0]).tolist()
+        where = ", ".join(f"{begin:.1f} to {end:.1f} s" for begin, end in spans)
+        were = "were" if count > 1 else "was"
+        return (f"{counted(count, 'scan')} without odometry {were} left out, from {where}",)
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryStream:
+    """Odometry poses (n, 3), m and rad, at rising times (n,), s, of their own."""
+
+    times: FloatArray
+    poses: FloatArray
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, times: FloatArray, poses: FloatArray) -> "OdometryStream":
+        """The stream without poses that are off the path."""
+        poses, off = without_excursions(times, poses)
+        return cls(times, poses, excursions_in_words(times, off))
+
+    def at(self, wanted: FloatArray) -> FloatArray:
+        """The poses (k, 3) at times (k,), s, by linear interpolation."""
+        columns = (*self.poses[:, :2].T, np.unwrap(self.poses[:, 2]))
+        return np.column_stack([np.interp(wanted, self.times, column) for column in columns])
+
+    def silent_times(self, scan_times: FloatArray, ranges: FloatArray) -> SilentTimes:
+        """The times between poses that do not follow from each other, beside scans (k, n_beams), m,
+        at times (k,), s.
+
+        Some drivers send no pose while the robot stands. Then neither pose nor readings change.
+        """
+        steps, motions = np.diff(self.times), _Motions.of(self.times, self.poses)
+        period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
+        long = np.flatnonzero(steps > max(_LEAST_GAP, _TIMES_LONGER * period))
+        gaps = [step for step in long.tolist() if self._may_move_in(step, scan_times, ranges)]
+        found = sorted({*gaps, *([] if motions is None else motions.jumps())})
+        spans = np.array([self.times[step : step + 2] for step in found])
+        return SilentTimes(spans.reshape(-1, 2))
+
+    def _may_move_in(self, step: int, scan_times: FloatArray, ranges: FloatArray) -> bool:
+        """Whether the robot may have moved between a pose and the next one, by both and by the
+        scans.
+        """
+        begin, end = self.times[step : step + 2]
+        moved = np.abs(se2.between(self.poses[step], self.poses[step + 1]))
+        during = ranges[(scan_times >= begin) & (scan_times <= end)]
+        during = during[:, np.isfinite(during).all(axis=0)]
+        changed = float(np.median(np.ptp(during, axis=0))) if during.size else 0.0
+        return bool((moved > _STANDING).any() or changed > _SAME_RANGE)
+
+
+def excursions_in_words(time: FloatArray, off: IntArray) -> tuple[str, ...]:
+    """Which events (k,) at times (n,), s, had poses off the path, in a line."""
+    if not len(off):
+        return ()
+    poses = f"{counted(len(off), 'odometry pose')}, the first one at {time[off[0]] - time[0]:.1f} s"
+    were = "were" if len(off) > 1 else "was"
+    question = "are poses of two programs mixed?"
+    return (f"{poses}, {were} off the path for a moment, and replaced: {question}",)
 
 
 def breaks_in_words(breaks: Sequence[OdometryBreak]) -> str:

@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.logs.odometry_breaks import without_excursions
+from limslam_agent.logs.odometry_breaks import excursions_in_words, without_excursions
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
-from limslam_env.messages import counted
 
 MIN_RANGE = 0.02
 """Shorter readings (m) mean "no reading" or dirt on the window of a laser."""
@@ -109,17 +108,13 @@ def pose_log(
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
     odometry, off = without_excursions(time, odometry)
-    if len(off):
-        poses = f"{counted(len(off), 'odometry pose')}, the first one at {time[off[0]]:.1f} s,"
-        text = "off the path for a moment and replaced: are poses of two programs mixed?"
-        notes = (*notes, f"{poses} {'were' if len(off) > 1 else 'was'} {text}")
     return RecordedLog(
         robot,
         time,
         ranges,
         has_scan,
         odometry=odometry,
-        notes=tuple(notes),
+        notes=(*notes, *excursions_in_words(time, off)),
         gaps=tuple(gaps),
     )
 
