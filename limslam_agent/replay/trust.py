@@ -73,8 +73,8 @@ class PathSignals:
         if self.untied:
             times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
             reasons.append(
-                f"odometry does not tell how the robot moved at {times} s, and too few places that "
-                "were seen before and after tie both parts together"
+                f"odometry jumps or has a gap at {times} s, and too few places that were seen "
+                "before and after it tie both parts together"
             )
         if not self.confirmed:
             reasons.append("no other visit of a place confirms what was seen")
