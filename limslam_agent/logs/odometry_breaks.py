@@ -21,6 +21,7 @@ from limslam_env.messages import counted
 _TIMES_FASTER, _LEAST_JUMP = np.array([6.0, 10.0]), np.array([0.25, 0.5 * math.pi])
 _USUAL = 0.75  # quantile of the rates of a robot that drives that counts as usual
 _FEWEST = 20  # motions, without which nothing is known to be usual
+_ROUNDING = 1e-6  # m; a robot that stands moves by less
 _NEAR = 3  # motions before and after one that show how fast the robot is at that time
 _LONGEST_EXCURSION = 1.0  # s; poses that are off the path for longer are in another frame
 # A gap between two events is so many times as long as usual, and longer than this, s
@@ -93,7 +94,7 @@ class _Motions:
         """The motions of poses (n, 3); None if they are too few to show what is usual."""
         moves, seconds = se2.between(poses[:-1], poses[1:]), np.diff(time)
         sizes = np.column_stack((np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])))
-        driving = sizes[:, 0] > 0.0
+        driving = sizes[:, 0] > _ROUNDING
         if np.count_nonzero(driving) < _FEWEST or not (seconds > 0.0).any():
             return None
         period = float(np.median(seconds[seconds > 0.0]))
@@ -129,7 +130,8 @@ class _Motions:
         found = []
         for step in np.flatnonzero(self.seconds > least).tolist():
             speed = float(min(self.rates_near(step)[0], self.usual[0]))
-            if self.sizes[step, 0] < _COUNTED * speed * self.seconds[step]:
+            reported = self.sizes[step, 0] / self.seconds[step]
+            if reported < _COUNTED * speed and speed > _COUNTED * self.usual[0]:
                 found.append(step)
         return found
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.logs.odometry_breaks import breaks_in_words
+from limslam_agent.logs.odometry_breaks import breaks_in_words, odometry_breaks
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
@@ -97,6 +97,10 @@ def _about_breaks(log: RecordedLog) -> list[str]:
 def _about_gaps(log: RecordedLog) -> list[str]:
     if log.wheels is None:
         return []
+    path = _path(log.wheels, log.robot.axle)
+    lost = [each for each in odometry_breaks(log.time, path) if not each.is_jump]
+    remedy = "counters, with --accumulated, count on while rows are missing"
+    found = [f"{breaks_in_words(lost)}; {remedy}"] if lost else []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
     (rows,) = np.nonzero(travel > _LARGEST_STEP)
     gaps = [
@@ -105,7 +109,9 @@ def _about_gaps(log: RecordedLog) -> list[str]:
     ]
     more = ", ..." if len(gaps) > _MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
-    return [f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}"] if gaps else []
+    if gaps:
+        found.append(f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}")
+    return found
 
 
 def _about_ranges(log: RecordedLog) -> list[str]:

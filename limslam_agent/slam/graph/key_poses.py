@@ -30,7 +30,8 @@ _PER_METRE = 0.05, 0.05, math.radians(2.0)
 _PER_RADIAN = 0.03, 0.03, math.radians(6.0)
 _DELAY_STEP = 0.05  # s, of the derivatives by the delay
 _LEAST_NEW_TIMES = 0.9
-_STANDING = 1e-6  # m and rad: smaller motions between two events are rounding errors
+STANDING = 1e-6
+"""Smaller motions between two events, m and rad, are rounding errors."""
 ERRORS = 5
 """Number of constant errors of odometry that are estimated."""
 ANOTHER_VISIT = 13.5
@@ -236,7 +237,7 @@ def _has_times(data: LogData) -> bool:
     """Whether the times tell apart the events between which the robot moved. Some logs give many
     events the same time.
     """
-    moved = (np.abs(np.diff(data.odometry, axis=0)) > _STANDING).any(axis=1)
+    moved = (np.abs(np.diff(data.odometry, axis=0)) > STANDING).any(axis=1)
     later = np.diff(data.time)[moved] > 0.0
     return bool(later.mean() > _LEAST_NEW_TIMES) if len(later) else False
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import SCORES, TURN_STEP
-from limslam_agent.slam.graph.key_poses import LogData, integrate
+from limslam_agent.slam.graph.key_poses import STANDING, LogData, integrate
 from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews, moves_of
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
@@ -106,6 +106,8 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     number of stretches.
     """
     before, after = (moves_of(each)[:, 0] for each in (data, directed))
+    moved = np.abs(before) > STANDING
+    before, after = before[moved], after[moved]
     backwards = (after < 0.0) & (before > 0.0)
     begins = backwards & ~np.append(False, backwards[:-1])
     return float(before[backwards].sum()), int(begins.sum())
