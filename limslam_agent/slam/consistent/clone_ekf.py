@@ -84,7 +84,6 @@ class CloneEKF:
         # Of the poses in the latest step: the change in the world, the jitter in the robot's frame,
         # and, since each step asks for it several times, the jitter in the world at a heading.
         self._motions, self._jitters = np.zeros((robots, POSE)), [np.zeros((POSE, POSE))] * robots
-        self._steps = np.zeros(robots)
         self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
@@ -254,11 +253,9 @@ class CloneEKF:
             by_increment,
             self._poses_end,
         )
-        change, self._jitters[robot] = by_increment @ increment, motion.jitter
+        self._motions[robot], self._jitters[robot] = by_increment @ increment, motion.jitter
         if not motion.has_turned:
-            change[2] = 0.0
-        self._motions[robot] += change
-        self._steps[robot] += 1.0
+            self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
         if motion.by_calibration is None:
@@ -326,15 +323,8 @@ class CloneEKF:
             self._errors.ranges,
         )
         if ranges is not None:
-            mean = self._motions[robot] / max(self._steps[robot], 1.0)
-            self.by_errors[-POSE:, DELAY - ranges.count] -= mean
+            self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
         return number
-
-    def end_reading(self, robot: int) -> None:
-        """Note that a robot has readings in this step. The motion in a step is the mean of the
-        steps since the last readings, as wheels and ranges may be reported one after the other.
-        """
-        self._motions[robot], self._steps[robot] = 0.0, 0.0
 
     def add_line(self, theta: float, anchor: FloatArray) -> int:
         """Add a line with an uninformative prior, and return its index.

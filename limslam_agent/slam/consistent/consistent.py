@@ -265,8 +265,6 @@ class ConsistentEstimator(Estimator):
         if is_due(travel, front.hits, self._sides, settings):
             clone = self.filter.clone(number)
             collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
-        if front.measured.any():
-            self.filter.end_reading(number)
         for side in range(len(SIDES)):
             is_over = has_ended(travel, fill, side)
             if fill[side, FRESH] >= settings.batch or is_over:

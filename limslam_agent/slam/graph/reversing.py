@@ -1,7 +1,7 @@
 """Stretches that a robot drove backwards, in logs whose odometry never says so.
 
 Encoders with a single channel count distances without a sign, and so do some converted logs: on
-``fr079`` odometry says "ahead" for all of its 393 m, and the robot drove backwards at 14 places.
+``fr079`` odometry says "ahead" for all of its 393 m, and the robot drove backwards over 6.8 m.
 Such a stretch of 3 m is an error of 6 m, which no model of noise explains.
 
 A robot can change its direction only where it stops. After a stop it sees the walls that it has
