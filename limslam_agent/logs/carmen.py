@@ -28,6 +28,7 @@ from limslam_agent.logs.pose_log import MIN_RANGE, check_max_range, nearest_beam
 from limslam_agent.logs.recorded_log import (
     FilePath,
     RecordedLog,
+    check_beams,
     is_number,
     naming,
     parse_number,
@@ -166,6 +167,7 @@ class _Events:
         if not text.isdigit():
             raise ValueError(f"{kind.decode()} is not followed by the number of beams")
         count = int(text[:9])
+        check_beams(count)
         layout = self._layout(count, tuple(fields[2:begin]))
         tail = fields[begin + 1 + count :]
         if kind != _FLASER and tail and tail[0].isdigit():

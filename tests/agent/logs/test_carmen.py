@@ -261,6 +261,10 @@ def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write: 
     np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [-120.0, -60.0, 120.0], atol=1e-3)
     message = refusal(write(robot_laser(1.0, readings, 0.0, 0.0, 0.0)))
     assert ": line 1: 5 beams in steps of 0 rad are no scan" in message
+    many = robot_laser(1.0, readings, 0.0, 0.0, 1.0).replace(" 5 1.0 30.0", " 999999999 1.0 30.0")
+    assert "a scan has 999999999 beams" in refusal(write(many))
+    cut = robot_laser(1.0, readings, 0.0, -120.0, 60.0).replace(" 2 100 200", " 3 100 200")
+    assert "ROBOTLASER1 has " in refusal(write(cut), (0.0,), 5.0)
 
 
 def test_scans_without_a_pose_take_that_of_odometry(write: Any) -> None:
