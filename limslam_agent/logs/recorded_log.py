@@ -14,6 +14,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.logs.odometry_breaks import OdometryBreak, odometry_breaks
 from limslam_agent.readings import as_readings
 from limslam_agent.safe_files import load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
@@ -32,7 +33,7 @@ LONGEST_LINE = 1 << 20
 MOST_BEAMS = 4096
 """Most beams of a scan or columns of a table."""
 
-# m between two events. A longer motion is an error of the log.
+# m between two events. A longer motion is an error of the log, unless the rest of it is a drive.
 LONGEST_JUMP = 50.0
 
 _LONGEST_TIME = 1e12  # s, 30,000 years; a float then still divides a millisecond
@@ -90,6 +91,10 @@ class RecordedLog:
     notes
         What the reader has found and done, a line each, for the user: lines that were left out,
         times that were moved.
+    gaps
+        Events before which there was no odometry for a while.
+    breaks
+        The motions that the odometry poses do not tell: jumps and gaps.
     negative
         How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
@@ -110,6 +115,8 @@ class RecordedLog:
     true_pose: FloatArray | None = None
     yaw: FloatArray | None = None
     notes: tuple[str, ...] = ()
+    gaps: tuple[int, ...] = ()
+    breaks: tuple[OdometryBreak, ...] = field(init=False, default=())
     negative: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
@@ -134,7 +141,10 @@ class RecordedLog:
         if self.yaw is not None:
             _check("yaw", self.yaw, (count,), finite=False)
         if self.odometry is not None:
+            breaks = odometry_breaks(self.time, self.odometry, self.gaps)
+            object.__setattr__(self, "breaks", breaks)
             jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
+            jumps[[each.row - 1 for each in breaks]] = 0.0
             if np.any(jumps > LONGEST_JUMP):
                 row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
                 raise ValueError(
@@ -145,6 +155,28 @@ class RecordedLog:
         """Number of events."""
         return self.time.size
 
+    @property
+    def _moves(self) -> FloatArray | None:
+        """Motion (n, 3) by odometry since the previous event: zero after a jump."""
+        if self.odometry is None:
+            return None
+        moves = np.zeros((len(self), 3))
+        moves[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
+        moves[[each.row for each in self.breaks if each.is_jump]] = 0.0
+        return moves
+
+    @property
+    def continuous_odometry(self) -> FloatArray | None:
+        """The odometry poses (n, 3) with a robot that stays where it is at a jump."""
+        if self.odometry is None or not self.breaks:
+            return self.odometry
+        poses = self.odometry.copy()
+        for each in self.breaks:
+            if each.is_jump:
+                frame = se2.compose(poses[each.row - 1], se2.inverse(poses[each.row]))
+                poses[each.row :] = se2.compose(frame, poses[each.row :])
+        return poses
+
     def observations(self) -> Iterator[Observation]:
         """The observation of each event, in new arrays.
 
@@ -153,12 +185,10 @@ class RecordedLog:
         Observation
             ``ranges`` (n_beams,) float32, m, with ``wheels`` (2,) float32, m, or with ``odometry``
             (3,) float64. The odometry is the motion since the previous event in the robot's frame
-            at that event, and zero at the first event. An event without a scan has no ``ranges``.
+            at that event. It is zero at the first event and after a jump, where a robot has most
+            likely stayed. An event without a scan has no ``ranges``.
         """
-        moves = None
-        if self.odometry is not None:
-            moves = np.zeros((len(self), 3))
-            moves[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
+        moves = self._moves
         for row in range(len(self)):
             observation: Observation = {}
             if moves is not None:

@@ -48,10 +48,10 @@ def misread(data: LogData, config: GraphConfig, *, by_wheels: bool = False) -> s
 
 def _places(data: LogData, config: GraphConfig) -> list[int]:
     """Events at which what is seen next is compared with what was seen before."""
-    travel = LocalViews(data, config, _WINDOW).travel
-    apart = max(AFTER, travel[-1] / _MOST_PLACES)
+    driven = LocalViews(data, config, _WINDOW).driven
+    apart = max(AFTER, driven[-1] / _MOST_PLACES)
     return [
-        int(each) for each in np.searchsorted(travel, np.arange(BEFORE, travel[-1] - AFTER, apart))
+        int(each) for each in np.searchsorted(driven, np.arange(BEFORE, driven[-1] - AFTER, apart))
     ]
 
 

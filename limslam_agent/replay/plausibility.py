@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
+from limslam_agent.logs.odometry_breaks import breaks_in_words, odometry_breaks
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
@@ -58,7 +59,8 @@ def log_warnings(log: RecordedLog) -> list[str]:
         *_about_negatives(log),
         *_about_beams(log),
     ]
-    return [*log.notes, *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
+    about_breaks = [*_about_breaks(log), *_about_gaps(log)]
+    return [*log.notes, *about_clock, *about_breaks, *about_ranges, *about_odometry]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -88,9 +90,17 @@ def _about_clock(log: RecordedLog) -> list[str]:
     ]
 
 
+def _about_breaks(log: RecordedLog) -> list[str]:
+    return [breaks_in_words(log.breaks)] if log.breaks else []
+
+
 def _about_gaps(log: RecordedLog) -> list[str]:
     if log.wheels is None:
         return []
+    path = _path(log.wheels, log.robot.axle)
+    lost = [each for each in odometry_breaks(log.time, path) if not each.is_jump]
+    remedy = "counters, with --accumulated, count on while rows are missing"
+    found = [f"{breaks_in_words(lost)}; {remedy}"] if lost else []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
     (rows,) = np.nonzero(travel > _LARGEST_STEP)
     gaps = [
@@ -99,7 +109,9 @@ def _about_gaps(log: RecordedLog) -> list[str]:
     ]
     more = ", ..." if len(gaps) > _MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
-    return [f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}"] if gaps else []
+    if gaps:
+        found.append(f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}")
+    return found
 
 
 def _about_ranges(log: RecordedLog) -> list[str]:
@@ -189,9 +201,10 @@ def _about_beams(log: RecordedLog) -> list[str]:
 
 
 def _about_odometry(log: RecordedLog) -> list[str]:
-    if log.odometry is None:
+    odometry = log.continuous_odometry
+    if odometry is None:
         return [] if log.wheels is None else _about_wheels(log, log.wheels)
-    reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
+    reach = float(np.hypot(*np.ptp(odometry[:, :2], axis=0)))
     if reach < _LEAST_DRIVEN:
         spread = _spread(log)
         if spread < _LEAST_SPREAD:
@@ -201,17 +214,17 @@ def _about_odometry(log: RecordedLog) -> list[str]:
             f"{spread:.2f} m"
         )
         return [f"{text}: is odometry missing, or not in metres?"]
-    driven = float(np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum())
+    driven = float(np.hypot(*np.diff(odometry[:, :2], axis=0).T).sum())
     speed = driven / max(float(np.ptp(log.time)), 1e-9)
     if speed > _FASTEST:
         return [
             f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"
         ]
-    per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
-    if per_metre > _MOST_TURNS and _alignment(log.odometry) < _LEAST_ALIGNED:
+    per_metre = float(np.abs(se2.wrap_angle(np.diff(odometry[:, 2]))).sum()) / driven
+    if per_metre > _MOST_TURNS and _alignment(odometry) < _LEAST_ALIGNED:
         turns = f"by odometry the robot turns by {per_metre:.1f} rad on each metre"
         return [f"{turns}: is its heading in radians?"]
-    return _misread(log, log.odometry)
+    return _misread(log, odometry)
 
 
 def _alignment(odometry: FloatArray) -> float:

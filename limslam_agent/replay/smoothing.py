@@ -118,7 +118,16 @@ def log_data(log: RecordedLog, odometry: FloatArray, range_std: float) -> LogDat
     hit = log.has_scan[:, None] & (ranges > robot.too_near) & (ranges < robot.too_far)
     reach = float(robot.max_ranges.max())
     return LogData(
-        log.time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, reach, range_std
+        log.time,
+        odometry,
+        ranges,
+        hit,
+        robot.beam_origins,
+        robot.beam_angles,
+        reach,
+        range_std,
+        np.array([each.row for each in log.breaks], dtype=np.int64),
+        np.array([each.stds for each in log.breaks]).reshape(-1, 3),
     )
 
 
