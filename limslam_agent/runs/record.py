@@ -15,7 +15,7 @@ from limslam_agent.readings import as_readings
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.motion import Calibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -71,7 +71,7 @@ class Episode:
     closures: list[Closure]
     # Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was
     # needed
-    calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
+    calibrations: list[tuple[Calibration, FloatArray] | None]
     places: PlaceHistory  # what happened when the robot was lost
     # Whether the robot's place in an earlier map was found. The poses are in the frame of that map
     # then.

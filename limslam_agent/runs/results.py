@@ -374,7 +374,10 @@ def _record(episode: Episode) -> dict[str, Any]:
         "places": place_records(episode.time, episode.places.records),
         "sensor": sensor and sensor.found(specified, config.robot.control_period),
         "beam_turns": turn_records(episode.beam_turns),
-        "calibration": [found and calibration_record(*found) for found in episode.calibrations],
+        "calibration": [
+            found and calibration_record(found[0]._asdict(), found[1])
+            for found in episode.calibrations
+        ],
     }
 
 

@@ -2,12 +2,14 @@
 other robots.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import described
 
 
 class FrontEnd:
@@ -51,9 +53,10 @@ class FrontEnd:
         TypeError
             If it is not a dictionary.
         ValueError
-            If its ranges have the wrong shape.
+            If its ranges have the wrong shape, or its heading is no number.
         """
         _check_kind(observation)
+        yaw_of(observation)
         if "ranges" in observation and np.shape(observation["ranges"]) != (len(self._robot.beams),):
             shape = np.shape(observation["ranges"])
             raise ValueError(
@@ -95,6 +98,26 @@ class FrontEnd:
         """
         self.dropped = beams & self.hits
         self.measured, self.hits = self.measured & ~self.dropped, self.hits & ~self.dropped
+
+
+def yaw_of(observation: Observation) -> float:
+    """The heading of an observation, rad; NaN where it has none.
+
+    Raises
+    ------
+    ValueError
+        If it is no single number, or infinite.
+    """
+    value = observation.get("yaw", math.nan)
+    try:
+        (yaw,) = np.asarray(value, dtype=float).ravel().tolist()
+    except (TypeError, ValueError):
+        yaw = math.inf
+    if math.isinf(yaw):
+        raise ValueError(
+            f"yaw must be one number, the heading in rad, or NaN, not {described(value)}"
+        )
+    return float(yaw)
 
 
 def _check_kind(observation: object) -> None:

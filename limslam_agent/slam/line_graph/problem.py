@@ -17,6 +17,7 @@ from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.core.turn_meter import turns_of
 from limslam_agent.slam.line_graph.factors import (
     Expected,
     drive,
@@ -44,6 +45,14 @@ def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
 CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
 """Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle,
 bias.
+"""
+
+HEADING_PRIOR = np.asarray(
+    np.linalg.inv(block_diag(SelfCalibrationConfig().heading_covariance, [1e-6**2])), dtype=float
+)
+"""The same for a robot with a heading sensor: size of the wheels, scale, drift, bias.
+
+The bias remains as it is known.
 """
 
 RELATIVE_PRIOR = _calibration_prior(1e-6, 1e-6)
@@ -98,6 +107,11 @@ class Problem:
     # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot
     # was carried
     jumps: FloatArray | None = None
+    # turns, heading_jitters: of robots with heading sensors, the turns (n, t - 1, 2) that these have
+    # measured, rad, and for how long, s, both 0 where the wheels give the turn; and the variances
+    # (n, t) of the headings about the sum of all turns, rad^2
+    turns: FloatArray | None = None
+    heading_jitters: FloatArray | None = None
 
     @property
     def steps(self) -> int:
@@ -134,8 +148,11 @@ class Problem:
         turns[..., 0, 0] = turns[..., 1, 1] = np.cos(state.poses[..., 2])
         turns[..., 1, 0] = np.sin(state.poses[..., 2])
         turns[..., 0, 1] = -turns[..., 1, 0]
-        own = np.array([jitter_of(ticks, self.robot.axle) for ticks in self.ticks])
-        return np.asarray(turns @ own[:, None] @ np.swapaxes(turns, -1, -2))
+        own = np.array([jitter_of(ticks, self.robot.axle) for ticks in self.ticks])[:, None]
+        if self.heading_jitters is not None:
+            own = np.tile(np.diag([1.0, 1.0, 0.0]) * own, (1, self.steps, 1, 1))
+            own[..., 2, 2] = self.heading_jitters
+        return np.asarray(turns @ own @ np.swapaxes(turns, -1, -2))
 
     @cached_property
     def stds(self) -> FloatArray:
@@ -158,13 +175,30 @@ class Problem:
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
-        return self.robot.axle * (1.0 + float(calibration[2]))
+        return self.robot.axle * (1.0 if self.turns is not None else 1.0 + float(calibration[2]))
+
+    @cached_property
+    def by_sizes(self) -> FloatArray:
+        """Derivatives (n, t - 1, 3, 3) of the measured motions by the first three numbers of the
+        calibration.
+        """
+        found = np.zeros((*self.wheels.shape, 3))
+        if self.turns is None:
+            found[..., 0, 0], found[..., 1, 1] = self.wheels[..., 0], self.wheels[..., 1]
+            return found
+        lever = 0.5 * self.robot.axle * self.turns * (1.0, -1.0)
+        found[..., :2, 0] = self.wheels[..., :2].mean(axis=-1, keepdims=True)
+        found[..., 0, 1:], found[..., 1, 1:] = -lever, lever
+        return found
 
     def motions(self, calibration: FloatArray) -> FloatArray:
         """The measured motions (n, t - 1, 3), m, by the calibration (n, 4) of the wheels."""
-        sizes = np.ones((len(self.wheels), 1, 3))
-        sizes[:, 0, :2] += calibration[:, :2]
-        found = self.wheels * sizes
+        if self.turns is None:
+            sizes = np.ones((len(self.wheels), 1, 3))
+            sizes[:, 0, :2] += calibration[:, :2]
+            found = self.wheels * sizes
+        else:
+            found = self.wheels + np.einsum("ntij,nj->nti", self.by_sizes, calibration[:, :3])
         return found if self.jumps is None else found + self.jumps
 
     def whitened(self, errors: FloatArray) -> FloatArray:
@@ -191,8 +225,8 @@ class State:
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2),
         m.
     calibration
-        Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all
-        ranges, m.
+        Calibration (n, 4): relative excess of left wheel, right wheel and axle, or with a heading
+        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges, m.
     """
 
     motions: FloatArray
@@ -218,6 +252,7 @@ def make_problem(
     first_step: int = 0,
     sensor: RangeSensor | None = None,
     ticks: FloatArray | None = None,
+    yaw: FloatArray | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -241,6 +276,9 @@ def make_problem(
         How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
     ticks
         The ticks (n, 2) of the encoders, m; by the wheels if left out.
+    yaw
+        Headings (t, n) by inertial measurement units, rad, NaN without a reading; None without such
+        sensors.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
@@ -256,14 +294,47 @@ def make_problem(
     covariances = slip_covariances(
         robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
     )
-    covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
     covariances[..., 2, 2] += ASIDE_STD**2
+    own_variances = noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
+    measured_turns = heading_jitters = None
+    if yaw is None:
+        covariances[..., [0, 1], [0, 1]] += own_variances
+    else:
+        headings = zip(np.asarray(yaw).T, np.moveaxis(np.asarray(wheels), 0, 1), strict=True)
+        turns = np.array(
+            [
+                [(turn.angle, turn.variance, turn.seconds, turn.jitter) for turn in own]
+                for own in (turns_of(robot, noise, *each) for each in headings)
+            ]
+        )
+        half = 0.5 * robot.axle
+        lever = half * turns[:, 1:, 0]
+        motions[..., 0], motions[..., 1] = (
+            reported.mean(axis=-1) - lever,
+            reported.mean(axis=-1) + lever,
+        )
+        along, turned = 0.25 * own_variances.sum(axis=-1), half**2 * turns[:, 1:, 1]
+        covariances[..., [0, 1], [0, 1]] += (along + turned)[..., None]
+        covariances[..., [0, 1], [1, 0]] += (along - turned)[..., None]
+        heading_jitters = turns[..., 3]
+        seconds = turns[:, 1:, 2]
+        measured_turns = np.stack((np.where(seconds, turns[:, 1:, 0], 0.0), seconds), axis=-1)
     if not first_step:  # see ``encoder_ticks.first_jitter``
         covariances[:, 0, [0, 1], [0, 1]] += tick_variances(ticks)
     roots = np.linalg.inv(np.linalg.cholesky(covariances))
     starts = np.asarray(starts, dtype=float)
     return Problem(
-        sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, ticks, prior
+        sensor.mounted(robot),
+        starts,
+        motions,
+        roots,
+        readings,
+        looks,
+        sensor,
+        ticks,
+        prior,
+        turns=measured_turns,
+        heading_jitters=heading_jitters,
     )
 
 
