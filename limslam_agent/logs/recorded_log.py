@@ -176,9 +176,10 @@ def read_npz(path: FilePath) -> RecordedLog:
     ----------
     path
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action``
-        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log
-        of a simulated run also has the truth: ``true_pose`` (n, 3) after each step, and
-        ``wall_seen`` (n, n_beams). Pickled objects are refused.
+        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. That of a
+        robot with an inertial measurement unit has ``yaw`` (n,), rad. The log of a simulated run
+        also has the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams).
+        Pickled objects are refused.
 
     Raises
     ------
@@ -210,6 +211,7 @@ def read_npz(path: FilePath) -> RecordedLog:
             start_pose=_floats("start_pose", arrays),
             wheels=_floats("wheels", arrays),
             true_pose=_floats("true_pose", arrays) if has_truth else None,
+            yaw=_floats("yaw", arrays) if "yaw" in arrays else None,
         )
 
 
@@ -320,7 +322,7 @@ _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
-    arrays = load_arrays(Path(path), _ARRAYS, math.inf)
+    arrays = load_arrays(Path(path), (*_ARRAYS, "yaw"), math.inf)
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):

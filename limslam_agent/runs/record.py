@@ -50,6 +50,7 @@ class Episode:
     # Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m
     ranges: FloatArray
     wheels: FloatArray
+    yaw: FloatArray  # headings (t, n) by inertial measurement units, rad; NaN without such units
     # answer to each observation (t, n, 2). The action of a row leads to the next row.
     actions: FloatArray
     # Poses (t, n, 3): the truth, the estimate, and odometry alone
@@ -146,6 +147,7 @@ class Episode:
             breaks=tuple((0, step) for step in places.breaks),
             slips=tuple((0, *part) for part in places.slips),
             sensor=self.sensor,
+            yaw=self.yaw if self.config.imu else None,
         )
         if self.config.unknown_starts:
             return smooth_with_unknown_start(run, settings)

@@ -358,6 +358,7 @@ def _config(episode: Episode) -> dict[str, Any]:
         "kidnap_at": config.kidnap_at,
         "map": config.prior_map and str(config.prior_map),
         "unknown_starts": config.unknown_starts,
+        "imu": config.imu,
         "robot": asdict(config.robot),
         "agent": asdict(config.agent),
     }
@@ -389,6 +390,8 @@ def _write_log(path: Path, episode: Episode) -> None:
         "true_pose": episode.true,
         "wall_seen": episode.wall_seen,
     }
+    if episode.config.imu:
+        arrays["yaw"] = episode.yaw
     if episode.config.robots == 1:
         arrays = {name: array[:, 0] for name, array in arrays.items()}
     write_npz(

@@ -107,9 +107,9 @@ class Problem:
     # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot
     # was carried
     jumps: FloatArray | None = None
-    # turns, heading_jitters: of robots with heading sensors, the turns (n, t - 1, 2) that these have
-    # measured, rad, and for how long, s, both 0 where the wheels give the turn; and the variances
-    # (n, t) of the headings about the sum of all turns, rad^2
+    # turns, heading_jitters: of robots with heading sensors, the turns (n, t - 1, 2) that these
+    # have measured, rad, and for how long, s, both 0 where the wheels give the turn; and the
+    # variances (n, t) of the headings about the sum of all turns, rad^2
     turns: FloatArray | None = None
     heading_jitters: FloatArray | None = None
 

@@ -1,0 +1,40 @@
+"""The heading of each robot by an inertial measurement unit (IMU)."""
+
+import math
+
+import numpy as np
+
+from limslam_env.config import NoiseConfig
+from limslam_env.geometry import FloatArray, ReadingArray
+from limslam_env.geometry.se2 import wrap_angle
+
+
+class Imu:
+    """The units of all robots. Each begins at a random heading of its own.
+
+    Parameters
+    ----------
+    generator
+        What the noise is drawn from.
+    noise
+        The noise; its numbers have been drawn.
+    period
+        Time between two readings, s.
+    """
+
+    def __init__(self, generator: np.random.Generator, noise: NoiseConfig, period: float) -> None:
+        self._generator, self._noise, self._period = generator, noise, period
+        self._errors: FloatArray | None = None
+
+    def read(self, headings: FloatArray) -> ReadingArray:
+        """The next readings (n, 1), rad, from -pi to pi, of robots with true headings (n,), rad."""
+        values, noise, period = vars(self._noise), self._generator, self._period
+        if self._errors is None:
+            self._errors = noise.uniform(-math.pi, math.pi, len(headings))
+        else:
+            step = values["yaw_std"] * math.sqrt(period) * noise.standard_normal(len(headings))
+            self._errors = self._errors + step + values["yaw_drift"] * period
+        yaw, resolution = headings + self._errors, values["yaw_resolution"]
+        if resolution:
+            yaw = resolution * np.round(yaw / resolution)
+        return wrap_angle(yaw).astype(np.float32)[:, None]
