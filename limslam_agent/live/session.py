@@ -214,7 +214,7 @@ class Session:
     def _is_restart(self, hello: Hello) -> bool:
         """Whether the robot was switched on again."""
         is_same_robot = (hello.version, hello.beams, hello.name) == (
-            VERSION,
+            self._hello.version,
             self._hello.beams,
             self._hello.name,
         )

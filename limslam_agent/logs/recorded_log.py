@@ -55,6 +55,9 @@ def naming(path: FilePath) -> Iterator[None]:
         raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
+_UNUSED_YAW = "the heading beside the poses of the odometry is not used"
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedLog:
     """A run as the robot recorded it, with one row for each event, in the order of the file.
@@ -129,6 +132,8 @@ class RecordedLog:
             _check("true_pose", self.true_pose, (count, 3))
         if self.yaw is not None:
             _check("yaw", self.yaw, (count,), finite=False)
+            if self.odometry is not None and _UNUSED_YAW not in self.notes:
+                object.__setattr__(self, "notes", (*self.notes, _UNUSED_YAW))
         if self.odometry is not None:
             jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
             if np.any(jumps > LONGEST_JUMP):

@@ -340,7 +340,7 @@ class JoiningMapper(Mapper):
             slam.associations,
             slam.closures,
             sensor=slam.sensor,
-            yaw=None if np.isnan(yaw).all() else yaw[:, None],
+            yaw=yaw[:, None],
         )
 
     def _check_joining(self) -> None:

@@ -215,6 +215,6 @@ class Renewal:
             first_step=self._first_step,
             sensor=self._slam.sensor,
             ticks=self._slam.ticks,
-            yaw=None if np.isnan(yaw).all() else yaw[:, None],
+            yaw=yaw[:, None],
         )
         return renewed(self._start, stretch, settings)

@@ -200,7 +200,7 @@ def smoothed_by_lines(
         status = places.doubt
     seconds = time.process_time() - begin
     basis = run.synchronous.until(placed)
-    figures = _line_figures(found, has_heading=log.yaw is not None)
+    figures = _line_figures(found, has_heading=run.has_headings)
     smoothed = Smoothed(poses, figures, None, seconds, found.covariances[:, 0], status, basis)
     grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
     return replace(

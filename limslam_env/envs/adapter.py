@@ -46,7 +46,7 @@ def observation_space(robot: RobotSpec, *, imu: bool = False) -> spaces.Dict:
     """
     limit = np.full(2, robot.max_wheel_travel, dtype=np.float32)
     ranges = spaces.Box(robot.min_ranges.astype(np.float32), robot.max_ranges.astype(np.float32))
-    known = {"ranges": ranges, "wheels": spaces.Box(-limit, limit)}
+    known: dict[str, spaces.Space[Any]] = {"ranges": ranges, "wheels": spaces.Box(-limit, limit)}
     if imu:
         known["yaw"] = spaces.Box(-np.float32(np.pi), np.float32(np.pi), (1,), np.float32)
     return spaces.Dict(known)

@@ -3,6 +3,7 @@ and walls.
 """
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Self
@@ -342,7 +343,7 @@ class Estimator:
 
     def _steered(self, number: int, motion: Motion, observation: Observation) -> Motion:
         """A motion by wheels with the turn by the robot's heading, once it has reported one."""
-        if "yaw" in observation and number not in self._turn_meters:
+        if not math.isnan(yaw_of(observation)) and number not in self._turn_meters:
             self._turn_meters[number] = TurnMeter(self.robot, self.config.noise)
         meter = self._turn_meters.get(number)
         if meter is None or "wheels" not in observation:

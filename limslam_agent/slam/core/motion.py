@@ -181,8 +181,8 @@ def calibrated(motion: Motion, axle: float, calibration: Calibration) -> Motion:
     / b) / (1 + fb).
 
     A turn that may be noise only is left out of ``by_calibration``. With a heading sensor, the
-    distance becomes (1 + size) d, and a turn that it has measured for s seconds becomes (1 + scale)
-    t - drift s.
+    distance becomes (1 + size) d, and the turn t + scale m - drift s, if it has measured a turn m
+    for s seconds.
     """
     x, y, turn = motion.increment.tolist()
     half = 0.5 * turn
@@ -220,10 +220,10 @@ def _by_heading(
     motion: Motion, driven: float, calibration: HeadingCalibration
 ) -> tuple[float, float, FloatArray]:
     """The same for a robot with a heading sensor."""
-    turn, seconds = motion.increment.item(2), 0.0 if motion.turn is None else motion.turn.seconds
-    measured = turn if seconds and motion.has_turned else 0.0
-    turned = turn + calibration.scale * (turn if seconds else 0.0) - calibration.drift * seconds
-    by_errors = np.array([[driven, 0.0, 0.0], [0.0, measured, -seconds]])
+    turn = Turn(motion.increment.item(2), 0.0) if motion.turn is None else motion.turn
+    turned = turn.angle + calibration.scale * turn.measured - calibration.drift * turn.seconds
+    sure = turn.measured if motion.has_turned else 0.0
+    by_errors = np.array([[driven, 0.0, 0.0], [0.0, sure, -turn.seconds]])
     return (1.0 + calibration.size) * driven, turned, by_errors
 
 

@@ -44,8 +44,9 @@ class Turn(NamedTuple):
     ----------
     angle, variance
         The turn, rad, and its variance, rad^2.
-    seconds
-        How long the IMU has measured it, s; 0 where the wheels give it.
+    measured, seconds
+        The turn that the IMU has measured, rad, and for how long, s; both 0 where the wheels give
+        the angle. After a gap, they are those of the whole gap.
     jitter
         Variance of the heading about the sum of all turns, rad^2: by the resolution of the IMU, and
         by the wheels until the IMU has its next reading.
@@ -55,6 +56,7 @@ class Turn(NamedTuple):
 
     angle: float
     variance: float
+    measured: float = 0.0
     seconds: float = 0.0
     jitter: float = 0.0
     drift: float | None = None
@@ -101,9 +103,13 @@ class TurnMeter:
             return self._read(yaw, Turn(turn, self._variance, jitter=jitter))
         if self._still > STILL and abs(off) < FASTEST_DRIFT * seconds:
             variance = (random_walk + 2.0 * jitter) / seconds**2
-            return self._read(yaw, Turn(0.0, LEAST_VARIANCE, 0.0, jitter, off / seconds, variance))
+            shown = off / seconds
+            return self._read(
+                yaw, Turn(0.0, LEAST_VARIANCE, jitter=jitter, drift=shown, drift_variance=variance)
+            )
         first = max(jitter - before, 0.0)  # see ``encoder_ticks.first_jitter``
-        return self._read(yaw, Turn(turn + off, random_walk + first, seconds, jitter))
+        measured = self._turned + off
+        return self._read(yaw, Turn(turn + off, random_walk + first, measured, seconds, jitter))
 
     def _without_reading(self, turn: float) -> Turn:
         """The turn of the wheels, whose error ends with the next heading, if that is soon."""

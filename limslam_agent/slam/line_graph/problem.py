@@ -7,6 +7,7 @@ wheels drive exact arcs, so poses follow from motions.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -295,30 +296,12 @@ def make_problem(
         robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
     )
     covariances[..., 2, 2] += ASIDE_STD**2
-    own_variances = noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
-    measured_turns = heading_jitters = None
-    if yaw is None:
-        covariances[..., [0, 1], [0, 1]] += own_variances
+    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels)
+    if steered is None:
+        covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
     else:
-        headings = zip(np.asarray(yaw).T, np.moveaxis(np.asarray(wheels), 0, 1), strict=True)
-        turns = np.array(
-            [
-                [(turn.angle, turn.variance, turn.seconds, turn.jitter) for turn in own]
-                for own in (turns_of(robot, noise, *each) for each in headings)
-            ]
-        )
-        half = 0.5 * robot.axle
-        lever = half * turns[:, 1:, 0]
-        motions[..., 0], motions[..., 1] = (
-            reported.mean(axis=-1) - lever,
-            reported.mean(axis=-1) + lever,
-        )
-        along, turned = 0.25 * own_variances.sum(axis=-1), half**2 * turns[:, 1:, 1]
-        covariances[..., [0, 1], [0, 1]] += (along + turned)[..., None]
-        covariances[..., [0, 1], [1, 0]] += (along - turned)[..., None]
-        heading_jitters = turns[..., 3]
-        seconds = turns[:, 1:, 2]
-        measured_turns = np.stack((np.where(seconds, turns[:, 1:, 0], 0.0), seconds), axis=-1)
+        motions[..., :2] = steered.motions
+        covariances[..., :2, :2] += steered.covariances
     if not first_step:  # see ``encoder_ticks.first_jitter``
         covariances[:, 0, [0, 1], [0, 1]] += tick_variances(ticks)
     roots = np.linalg.inv(np.linalg.cholesky(covariances))
@@ -333,8 +316,50 @@ def make_problem(
         sensor,
         ticks,
         prior,
-        turns=measured_turns,
-        heading_jitters=heading_jitters,
+        turns=None if steered is None else steered.turns,
+        heading_jitters=None if steered is None else steered.jitters,
+    )
+
+
+class _Steered(NamedTuple):
+    """The motions of n robots with heading sensors in t steps.
+
+    Attributes
+    ----------
+    motions, covariances
+        Travel (n, t - 1, 2) of wheels that do not slip in turns, m, and covariances (n, t - 1, 2,
+        2).
+    turns, jitters
+        ``Problem.turns`` and ``Problem.heading_jitters``.
+    """
+
+    motions: FloatArray
+    covariances: FloatArray
+    turns: FloatArray
+    jitters: FloatArray
+
+
+def _by_headings(
+    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+) -> _Steered:
+    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m."""
+    travel = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)
+    table = np.array(
+        [
+            [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
+            for own in (turns_of(robot, noise, *each) for each in zip(yaw.T, travel, strict=True))
+        ]
+    )
+    angles, variances = table[:, 1:, 0, None, None], table[:, 1:, 1, None, None]
+    distances = 0.5 * travel[:, 1:].sum(axis=-1)
+    of_distances = 0.25 * noise.wheel_variance * np.abs(travel[:, 1:]).sum(axis=-1)
+    by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
+    covariances = (of_distances + 0.5 * LEAST_VARIANCE)[..., None, None] * np.ones((2, 2))
+    return _Steered(
+        distances[..., None] + (angles * by_turn)[..., 0],
+        covariances + variances * (by_turn @ by_turn.T),
+        table[:, 1:, 3:],
+        table[..., 2],
     )
 
 

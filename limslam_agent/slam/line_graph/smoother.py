@@ -85,6 +85,11 @@ class FilteredRun:
     yaw: FloatArray | None = None
 
     @property
+    def has_headings(self) -> bool:
+        """Whether a robot has ever reported a heading."""
+        return self.yaw is not None and not bool(np.isnan(self.yaw).all())
+
+    @property
     def synchronous(self) -> "FilteredRun":
         """The run with wheels that wait for late ranges."""
         delay = 0.0 if self.sensor is None else self.sensor.delay
@@ -236,7 +241,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     if len(run.poses) < 2:
         return None
     prior = CALIBRATION_PRIOR if config.calibrate == "always" else None
-    if run.yaw is not None and config.calibrate != "never":
+    if run.has_headings and config.calibrate != "never":
         prior = HEADING_PRIOR
     problem = make_problem(
         run.robot,
@@ -249,7 +254,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         run.first_step,
         run.sensor,
         run.ticks,
-        run.yaw,
+        run.yaw if run.has_headings else None,
     )
     problem = with_breaks(with_slips(problem, run), run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
@@ -257,7 +262,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         return None
     try:
         best = reassociate(problem, state_from_poses(problem, run.poses), labels)
-        if config.calibrate == "if_needed" and run.yaw is None:
+        if config.calibrate == "if_needed" and not run.has_headings:
             best = _calibrated_if_needed(best, run, labels)
     except DegenerateError:
         return None
