@@ -12,7 +12,6 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.live.link import POLL, Connection
 from limslam_agent.live.protocol import (
-    VERSION,
     Command,
     Heartbeat,
     Hello,

@@ -131,7 +131,7 @@ class RecordedLog:
         if self.true_pose is not None:
             _check("true_pose", self.true_pose, (count, 3))
         if self.yaw is not None:
-            _check("yaw", self.yaw, (count,), finite=False)
+            _check("yaw", np.where(np.isnan(self.yaw), 0.0, self.yaw), (count,))
             if self.odometry is not None and _UNUSED_YAW not in self.notes:
                 object.__setattr__(self, "notes", (*self.notes, _UNUSED_YAW))
         if self.odometry is not None:
