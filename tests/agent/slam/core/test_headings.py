@@ -1,4 +1,4 @@
-"""The heading of an inertial measurement unit beside wheels: turns, constant errors, consistency."""
+"""The heading of an inertial measurement unit beside wheels: turns, errors, consistency."""
 
 import math
 from dataclasses import replace
@@ -262,7 +262,6 @@ def test_a_heading_with_a_drift_helps_wheels_that_slip(name: str) -> None:
             row.append((error(log, replay.estimated), error(log, replay.smoothed.poses)))
         errors.append(row)
     (by_wheels, smoothed_by_wheels), (filtered, smoothed) = np.median(errors, axis=0)
-    print("MEDIANS", name, by_wheels, smoothed_by_wheels, filtered, smoothed)
     assert filtered < 0.75 * by_wheels
     assert smoothed < 0.75 * smoothed_by_wheels
 
@@ -322,7 +321,6 @@ def test_pose_and_drift_are_as_uncertain_as_the_filter_says() -> None:
         poses += np.sum(off[rows] * whitened[..., 0], axis=1).tolist()
         drift, std = drift_of(replay)
         drifts.append(((drift - true) / std) ** 2)
-    print("NEES", np.mean(poses), np.mean(drifts))
     assert 1.0 < np.mean(poses) < 5.0
     assert 0.3 < np.mean(drifts) < 2.5
 
