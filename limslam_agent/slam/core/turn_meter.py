@@ -5,8 +5,9 @@ drift: the zero error of its gyroscope, summed up. It does not know of slip. So 
 difference of two headings, and the wheels say how far the robot went (J. Borenstein and L. Feng,
 "Gyrodometry", 1996). The estimator finds scale and drift; here is what depends on neither.
 
-The wheels give the turn where the IMU has no reading, where its heading jumps, as that of a compass
-does near iron, and while the robot stands, which shows the drift alone.
+The wheels give the turn where the IMU has no new reading, where its heading jumps, as that of a
+compass does near iron, and while the robot stands, which shows the drift alone. A heading that is
+the same as before, although the wheels have turned the robot, is the old reading again.
 """
 
 import math
@@ -35,6 +36,9 @@ FASTEST_DRIFT = math.radians(3.0)
 
 JUMP = math.radians(20.0)
 """A heading jumps if it turns by this much more, rad, than slip of both wheels explains."""
+
+
+_SURE = 3.0  # standard deviations of the wheels' turn
 
 
 class Turn(NamedTuple):
@@ -93,8 +97,13 @@ class TurnMeter:
             return self._without_reading(turn)
         if math.isnan(self._yaw):
             return self._read(yaw, Turn(turn, self._variance))
-        seconds, before = self._seconds, self._resolution_variance
         own = float(wrap_angle(yaw - self._yaw))
+        unnoticed = max(self._tick, 0.0) + _SURE * math.sqrt(self._variance)
+        if not own and not self._tick:  # the unit may not work at all
+            return self._without_reading(turn, yaw)
+        if not own and abs(self._turned) > unnoticed:
+            return self._without_reading(turn)
+        seconds, before = self._seconds, self._resolution_variance
         self._tick = tick_by(self._tick, own)
         jitter = self._resolution_variance
         random_walk = self._noise.yaw_std**2 * seconds + LEAST_VARIANCE
@@ -111,11 +120,13 @@ class TurnMeter:
         measured = self._turned + off
         return self._read(yaw, Turn(turn + off, random_walk + first, measured, seconds, jitter))
 
-    def _without_reading(self, turn: float) -> Turn:
-        """The turn of the wheels, whose error ends with the next heading, if that is soon."""
+    def _without_reading(self, turn: float, after_gap: float = math.nan) -> Turn:
+        """The turn of the wheels, whose error ends with the next heading, if that is soon.
+
+        After a long gap, turns are counted from the heading ``after_gap``, rad; NaN for the next.
+        """
         if math.isnan(self._yaw) or self._seconds > LONGEST_GAP:
-            found = Turn(turn, self._variance)
-            return self._read(math.nan, found)
+            return self._read(after_gap, Turn(turn, self._variance))
         return Turn(turn, LEAST_VARIANCE, jitter=self._resolution_variance + self._variance)
 
     def _read(self, yaw: float, turn: Turn) -> Turn:

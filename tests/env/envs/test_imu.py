@@ -72,7 +72,9 @@ def test_a_heading_walks_at_random():
 def test_a_heading_has_steps():
     noise = NoiseConfig(yaw_resolution=0.1)
     yaw = np.array([each["yaw"].item() for each in driven(noise)[0]])
-    np.testing.assert_allclose(yaw / 0.1, np.round(yaw / 0.1), atol=1e-4)
+    turns = wrap_angle(np.diff(yaw)) / 0.1
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-4)
+    assert set(np.round(turns)) == {0.0, 1.0}
 
 
 def test_each_of_several_robots_has_its_heading():

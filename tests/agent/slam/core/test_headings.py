@@ -76,6 +76,29 @@ def test_a_fast_turn_of_the_wheels_is_no_jump(turn: float) -> None:
     assert turns[2].angle == pytest.approx(1.1 * turn)
 
 
+def test_a_heading_that_is_repeated_is_no_new_one() -> None:
+    true = 0.05 * np.arange(60)
+    wheels = 0.5 * 0.05 * ROBOT.axle * np.array([-1.0, 1.0])
+    turns = all_turns(np.repeat(true[::5], 5).tolist(), wheels)
+    followed = np.cumsum([each.angle for each in turns])
+    np.testing.assert_allclose(followed, true + 0.05)
+
+
+def test_a_unit_that_does_not_work_is_not_used() -> None:
+    turning, slow = np.array([-0.01, 0.01]), np.array([0.02, 0.0205])
+    for wheels in (turning, slow):
+        turns = all_turns([1.0] * 40, wheels)
+        expected = 40 * (wheels[1] - wheels[0]) / ROBOT.axle
+        assert sum(each.angle for each in turns) == pytest.approx(expected)
+
+
+def test_a_heading_in_coarse_steps_holds_a_straight_drive_against_the_wheels() -> None:
+    """The wheels say that the robot turns by less than a step of the heading in a second."""
+    slipping, step = np.array([0.02, 0.02008]), math.radians(1.0)
+    turns = all_turns([step, 0.0, *[0.0] * 100], slipping)
+    assert abs(sum(each.angle for each in turns[1:])) < 1.5 * step
+
+
 def test_a_standing_robot_shows_the_drift_and_does_not_turn() -> None:
     drift = math.radians(0.8)
     turns = all_turns([0.1 * drift * step for step in range(40)], np.zeros(2))
@@ -177,9 +200,9 @@ def test_a_bad_heading_is_one_clear_error_and_changes_nothing(yaw: object) -> No
 @pytest.mark.parametrize("name", ["paper", "odometry"])
 def test_the_other_presets_turn_by_the_heading_too(name: str) -> None:
     mapper = Mapper(ROBOT, preset(name))
-    for _ in range(10):
-        mapper.step({"wheels": np.array([0.02, 0.021]), "yaw": 1.0})
-    assert abs(mapper.poses[0, 2]) == pytest.approx(0.001 / ROBOT.axle)
+    for step in range(10):
+        mapper.step({"wheels": np.array([0.02, 0.021]), "yaw": 1.0 + 0.001 * step})
+    assert mapper.poses[0, 2] == pytest.approx(0.001 / ROBOT.axle + 0.009)
 
 
 def test_the_heading_of_a_log_of_poses_is_named_as_not_used() -> None:
