@@ -99,26 +99,27 @@ class TurnMeter:
             return self._read(yaw, Turn(turn, self._variance))
         own = float(wrap_angle(yaw - self._yaw))
         unnoticed = max(self._tick, 0.0) + _SURE * math.sqrt(self._variance)
-        if not own and not self._tick:  # the unit may not work at all
-            return self._without_reading(turn, yaw)
-        if not own and abs(self._turned) > unnoticed:
-            return self._without_reading(turn)
+        # A unit whose heading has never changed may not work at all.
+        if not own and (not self._tick or abs(self._turned) > unnoticed):
+            return self._without_reading(turn, math.nan if self._tick else yaw)
+        return self._read(yaw, self._by_heading(own, turn))
+
+    def _by_heading(self, own: float, by_wheels: float) -> Turn:
+        """The turn of a step in which the heading has turned, rad, since its last reading."""
         seconds, before = self._seconds, self._resolution_variance
         self._tick = tick_by(self._tick, own)
         jitter = self._resolution_variance
         random_walk = self._noise.yaw_std**2 * seconds + LEAST_VARIANCE
         off = float(wrap_angle(own - self._turned))
         if abs(off) > JUMP + self._slipping:
-            return self._read(yaw, Turn(turn, self._variance, jitter=jitter))
+            return Turn(by_wheels, self._variance, jitter=jitter)
         if self._still > STILL and abs(off) < FASTEST_DRIFT * seconds:
             variance = (random_walk + 2.0 * jitter) / seconds**2
-            shown = off / seconds
-            return self._read(
-                yaw, Turn(0.0, LEAST_VARIANCE, jitter=jitter, drift=shown, drift_variance=variance)
-            )
+            drift = off / seconds
+            return Turn(0.0, LEAST_VARIANCE, jitter=jitter, drift=drift, drift_variance=variance)
         first = max(jitter - before, 0.0)  # see ``encoder_ticks.first_jitter``
         measured = self._turned + off
-        return self._read(yaw, Turn(turn + off, random_walk + first, measured, seconds, jitter))
+        return Turn(by_wheels + off, random_walk + first, measured, seconds, jitter)
 
     def _without_reading(self, turn: float, after_gap: float = math.nan) -> Turn:
         """The turn of the wheels, whose error ends with the next heading, if that is soon.
