@@ -76,6 +76,8 @@ def emulate(
     pace = body.robot.control_period / speed if speed else 0.0
     if (udp is not None) + pty + ros2 != 1:
         raise ValueError("either --udp PORT, --pty or --ros2 is needed")
+    if ros2 and imu:
+        raise ValueError("--imu goes with --udp and --pty: the topics of --ros2 have no heading")
     with nullcontext() if truth is None else truth.open("w", encoding="utf-8", buffering=1) as file:
         if ros2:
             from limslam_agent.live.emulator.ros2 import RosRobot, serve

@@ -471,8 +471,9 @@ def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
     assert log.wheels[-1].tolist() == [0.0, 0.0]
 
 
-def test_an_emulator_refuses_a_number_that_no_port_has():
-    command = [sys.executable, "-m", "limslam_agent.live.emulator", "--udp", "99999"]
+@pytest.mark.parametrize("told", [("--udp", "99999"), ("--ros2", "--imu")])
+def test_an_emulator_refuses_what_it_cannot_do(told):
+    command = [sys.executable, "-m", "limslam_agent.live.emulator", *told]
     finished = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     assert finished.returncode == 2
     assert finished.stderr.startswith("emulator: ")
