@@ -24,17 +24,20 @@ class Imu:
 
     def __init__(self, generator: np.random.Generator, noise: NoiseConfig, period: float) -> None:
         self._generator, self._noise, self._period = generator, noise, period
-        self._errors: FloatArray | None = None
+        self._total: FloatArray | None = None
+        self._before = np.zeros(0)
 
     def read(self, headings: FloatArray) -> ReadingArray:
         """The next readings (n, 1), rad, from -pi to pi, of robots with true headings (n,), rad."""
-        values, noise, period = vars(self._noise), self._generator, self._period
-        if self._errors is None:
-            self._errors = noise.uniform(-math.pi, math.pi, len(headings))
+        values, count, period = vars(self._noise), len(headings), self._period
+        if self._total is None:
+            self._total = self._generator.uniform(-math.pi, math.pi, count)
         else:
-            step = values["yaw_std"] * math.sqrt(period) * noise.standard_normal(len(headings))
-            self._errors = self._errors + step + values["yaw_drift"] * period
-        yaw, resolution = headings + self._errors, values["yaw_resolution"]
+            walk = values["yaw_std"] * math.sqrt(period) * self._generator.standard_normal(count)
+            turns = wrap_angle(headings - self._before)
+            self._total = self._total + turns + walk + values["yaw_drift"] * period
+        self._before = headings.copy()
+        yaw, resolution = self._total, values["yaw_resolution"]
         if resolution:
             yaw = resolution * np.round(yaw / resolution)
         return wrap_angle(yaw).astype(np.float32)[:, None]
