@@ -335,18 +335,24 @@ class NominalNoise:
         Standard deviation of a range, m.
     wheel_variance
         Variance of a wheel's reported travel, m^2 per metre of travel.
+    yaw_std
+        Standard deviation of the turn by an inertial measurement unit, rad per square root of a
+        second: its angle random walk.
     """
 
     range_std: float = 0.0
     wheel_variance: float = 2e-5
+    yaw_std: float = math.radians(0.05)
 
     def __post_init__(self) -> None:
-        for name in ("range_std", "wheel_variance"):
+        for name in ("range_std", "wheel_variance", "yaw_std"):
             check_number(f"noise ({name})", getattr(self, name), 0.0, LARGEST_NOISE)
 
 
 def largest_noise(noises: Sequence[NominalNoise]) -> NominalNoise:
     """The noise that one filter for several robots is told: the largest of each kind."""
     return NominalNoise(
-        max(one.range_std for one in noises), max(one.wheel_variance for one in noises)
+        max(one.range_std for one in noises),
+        max(one.wheel_variance for one in noises),
+        max(one.yaw_std for one in noises),
     )

@@ -227,6 +227,14 @@ class RunOptions(Bounded):
             "no",
         ),
     ] = False
+    imu: Annotated[
+        bool,
+        told(
+            _WORLD,
+            "Whether the robot measures its heading by an inertial measurement unit, too.",
+            "no",
+        ),
+    ] = False
     map: _Map = None
     limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
     video: Annotated[

@@ -334,6 +334,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
             kidnap_at=options.kidnap_at,
             prior_map=options.map,
             unknown_starts=options.unknown_starts,
+            imu=options.imu,
         )
     except SettingsError:
         raise

@@ -59,6 +59,9 @@ def naming(path: FilePath) -> Iterator[None]:
         raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
+_UNUSED_YAW = "the heading beside the poses of the odometry is not used"
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedLog:
     """A run as the robot recorded it, with one row for each event, in the order of the file.
@@ -139,7 +142,9 @@ class RecordedLog:
         if self.true_pose is not None:
             _check("true_pose", self.true_pose, (count, 3))
         if self.yaw is not None:
-            _check("yaw", self.yaw, (count,), finite=False)
+            _check("yaw", np.where(np.isnan(self.yaw), 0.0, self.yaw), (count,))
+            if self.odometry is not None and _UNUSED_YAW not in self.notes:
+                object.__setattr__(self, "notes", (*self.notes, _UNUSED_YAW))
         if self.odometry is not None:
             breaks = odometry_breaks(self.time, self.odometry, self.gaps)
             object.__setattr__(self, "breaks", breaks)
@@ -210,9 +215,10 @@ def read_npz(path: FilePath) -> RecordedLog:
     ----------
     path
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action``
-        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log
-        of a simulated run also has the truth: ``true_pose`` (n, 3) after each step, and
-        ``wall_seen`` (n, n_beams). Pickled objects are refused.
+        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. That of a
+        robot with an inertial measurement unit has ``yaw`` (n,), rad. The log of a simulated run
+        also has the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams).
+        Pickled objects are refused.
 
     Raises
     ------
@@ -244,6 +250,7 @@ def read_npz(path: FilePath) -> RecordedLog:
             start_pose=_floats("start_pose", arrays),
             wheels=_floats("wheels", arrays),
             true_pose=_floats("true_pose", arrays) if has_truth else None,
+            yaw=_floats("yaw", arrays) if "yaw" in arrays else None,
         )
 
 
@@ -354,7 +361,7 @@ _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
-    arrays = load_arrays(Path(path), _ARRAYS, math.inf)
+    arrays = load_arrays(Path(path), (*_ARRAYS, "yaw"), math.inf)
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):

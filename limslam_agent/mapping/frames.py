@@ -12,6 +12,7 @@ from limslam_agent.mapping.frame_mapper import FrameMapper
 from limslam_agent.places.absence import Placement, StepLog
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import Revision, Unplaced
+from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.slam import LineSlam, RangeSensor
 from limslam_agent.status.monitor import Loss
 from limslam_agent.status.rays import Sight
@@ -64,8 +65,15 @@ class Frames:
         return self._present.slam
 
     def _found(self) -> tuple[RangeSensor | None, list[bool]]:
-        """The sensor as it is known now, and whether the odometry of each robot is corrected."""
-        return self.slam.sensor, [found is not None for found in self.slam.odometry_calibrations]
+        """The sensor as it is known now, and whether sizes of wheels and axle of each robot are
+        corrected.
+
+        The errors of a heading are a part of the state from the start.
+        """
+        found = self.slam.odometry_calibrations
+        return self.slam.sensor, [
+            each is not None and isinstance(each[0], OdometryCalibration) for each in found
+        ]
 
     def _slam_at(self, starts: FloatArray) -> LineSlam:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and

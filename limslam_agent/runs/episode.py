@@ -22,6 +22,7 @@ from limslam_agent.runs.policies import TOUR, Tour, policies_by_belief
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.status.status import LEVELS
 from limslam_env.bounds import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -76,6 +77,7 @@ def run_episode(
         num_robots=config.robots,
         robot=config.robot,
         noise=replace(config.true_noise, sensor_noise=config.noise),
+        imu=config.imu,
         coverage_goal=None,
         max_cycles=None,
         render_mode=render_mode,
@@ -237,6 +239,7 @@ def _decide(
         "contact": np.array([info["collision"] for info in infos]),
         "ranges": np.array([observation["ranges"] for observation in observations]),
         "wheels": np.array([observation["wheels"] for observation in observations]),
+        "yaw": np.array([yaw_of(observation) for observation in observations]),
         "actions": np.array(actions),
         "estimated": mapper.poses,
         "covariances": mapper.covariances,

@@ -2,6 +2,7 @@
 other robots.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -53,9 +54,10 @@ class FrontEnd:
         TypeError
             If it is not a dictionary.
         ValueError
-            If its ranges have the wrong shape, or are no real numbers.
+            If its ranges have the wrong shape or are no real numbers, or its heading is no number.
         """
         _check_kind(observation)
+        yaw_of(observation)
         if "ranges" not in observation:
             return
         if floats(observation["ranges"]).shape != (len(self._robot.beams),):
@@ -99,6 +101,26 @@ class FrontEnd:
         """
         self.dropped = beams & self.hits
         self.measured, self.hits = self.measured & ~self.dropped, self.hits & ~self.dropped
+
+
+def yaw_of(observation: Observation) -> float:
+    """The heading of an observation, rad; NaN where it has none.
+
+    Raises
+    ------
+    ValueError
+        If it is no single number, or infinite.
+    """
+    value = observation.get("yaw", math.nan)
+    try:
+        (yaw,) = np.asarray(value, dtype=float).ravel().tolist()
+    except (TypeError, ValueError):
+        yaw = math.inf
+    if math.isinf(yaw):
+        raise ValueError(
+            f"yaw must be one number, the heading in rad, or NaN, not {described(value)}"
+        )
+    return float(yaw)
 
 
 def _check_kind(observation: object) -> None:
