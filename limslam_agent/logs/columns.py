@@ -265,7 +265,7 @@ def _unit_in(words: Sequence[str]) -> str | None:
 def _without_end(text: str, words: Sequence[str]) -> str:
     """A name without the unit at its end."""
     pattern = r"[\W_]*".join(map(re.escape, words)) + r"[\W_]*$"
-    return re.sub(pattern, "", text, flags=re.IGNORECASE)
+    return re.sub(rf"[\W_]*{pattern}", "", text, flags=re.IGNORECASE)
 
 
 def _named(
