@@ -87,8 +87,11 @@ def pose_log(
     ranges: FloatArray,
     has_scan: BoolArray,
     robot: RobotSpec | None = None,
+    notes: tuple[str, ...] = (),
+    columns: tuple[str, ...] = (),
 ) -> RecordedLog:
-    """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
+    """The log of a robot that recorded poses. Its arrays, the notes and the columns are as in a
+    :class:`RecordedLog`.
 
     The headings of ``odometry`` may include full turns. Of a robot that is not described only a
     radius of 0.2 m is assumed. The frame of the estimate is the robot's first pose, because the
@@ -103,7 +106,9 @@ def pose_log(
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
-    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry)
+    return RecordedLog(
+        robot, time, ranges, has_scan, odometry=odometry, notes=notes, columns=columns
+    )
 
 
 def check_max_range(max_range: float) -> None:
