@@ -268,9 +268,7 @@ def _without_end(text: str, words: Sequence[str]) -> str:
     return re.sub(rf"[\W_]*{pattern}", "", text, flags=re.IGNORECASE)
 
 
-def _named(
-    name: str, text: str, words: list[str], unit: str | None, sign: float
-) -> Column | None:
+def _named(name: str, text: str, words: list[str], unit: str | None, sign: float) -> Column | None:
     """The column of a name with these words beside its unit. None if they mean nothing here, or do
     not go with the unit.
     """
@@ -282,9 +280,7 @@ def _named(
     return None
 
 
-def _role(
-    name: str, text: str, words: list[str], unit: str | None, sign: float
-) -> Column | None:
+def _role(name: str, text: str, words: list[str], unit: str | None, sign: float) -> Column | None:
     known = set(words)
     if known & _NOT_MEASURED:
         return None

@@ -59,9 +59,18 @@ class Layout:
     ranges: tuple[int, ...]
 
     @property
+    def places(self) -> dict[Role, int]:
+        """Places of the columns of the odometry and of the inertial measurement unit."""
+        return {**self.motion, **self.inertial}
+
+    def column(self, role: Role) -> Column:
+        """The column that is used for a role."""
+        return self.columns[self.places[role]]
+
+    @property
     def unused(self) -> list[str]:
         """Names of the columns that are not used."""
-        used = {*self.motion.values(), *self.inertial.values(), *self.ranges}
+        used = {*self.places.values(), *self.ranges}
         return [
             each.name
             for place, each in enumerate(self.columns)
@@ -330,9 +339,7 @@ def _in_robots_order(
     return _assigned(ranges, np.degrees(robot.beam_angles).tolist())
 
 
-def _assigned(
-    ranges: Sequence[Column], degrees: Sequence[float]
-) -> tuple[list[float], list[str]]:
+def _assigned(ranges: Sequence[Column], degrees: Sequence[float]) -> tuple[list[float], list[str]]:
     """Directions that were found otherwise than in the names, deg, and the words that say so."""
     rounded = [float(round(each, 1)) for each in degrees]
     pairs = ", ".join(
@@ -348,9 +355,7 @@ def _assigned(
 def _fits(named: Sequence[float], robot: RobotSpec) -> bool:
     """Whether each direction, deg, is that of another beam of the robot."""
     beams = np.degrees(robot.beam_angles).tolist()
-    nearest = [
-        min(range(len(beams)), key=lambda beam: _apart(each, beams[beam])) for each in named
-    ]
+    nearest = [min(range(len(beams)), key=lambda beam: _apart(each, beams[beam])) for each in named]
     return len(set(nearest)) == len(nearest) and all(
         _apart(each, beams[beam]) <= WORST_BEAM_MISMATCH_DEG + 1e-9
         for each, beam in zip(named, nearest, strict=True)

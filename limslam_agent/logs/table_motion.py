@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.logs.columns import Column, Dimension, Role
+from limslam_agent.logs.columns import Dimension, Role
 from limslam_agent.logs.table_layout import Form, Layout
 from limslam_agent.logs.table_options import TableOptions, scale
 from limslam_env.geometry import FloatArray, se2
@@ -100,7 +100,6 @@ class _Conversion:
         self.layout, self.values, self.options = layout, values, options
         self.period = period
         self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
-        self.places = {**layout.motion, **layout.inertial}
         self.units: dict[Role, str] = {}
         self.notes: list[str] = []
         self.is_speed = False
@@ -128,18 +127,15 @@ class _Conversion:
                 wheels = None
         return Odometry(wheels, poses, yaw, self.units, self.is_speed, tuple(self.notes))
 
-    def _column(self, role: Role) -> Column:
-        return self.layout.columns[self.places[role]]
-
     def _scaled(self, role: Role, usual: str) -> FloatArray:
         """A column in m, rad, m/s or rad/s. ``usual`` is its unit where nothing says another."""
-        unit = self.options.unit_of(self._column(role)) or usual
+        unit = self.options.unit_of(self.layout.column(role)) or usual
         self.units[role] = unit
         return self.values[role] * scale(unit)
 
     def _wheels(self, robot: RobotSpec) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before."""
-        columns = [self._column(role) for role in _WHEELS]
+        columns = [self.layout.column(role) for role in _WHEELS]
         if columns[0].dimension in _SPEEDS:
             self._say_that_ticks_do_not_matter()
             speeds = np.column_stack([self._wheel_speed(role) for role in _WHEELS])
@@ -160,7 +156,7 @@ class _Conversion:
 
     def _wheel_speed(self, role: Role) -> FloatArray:
         """Speed of a wheel (n,), m/s."""
-        column = self._column(role)
+        column = self.layout.column(role)
         speed = self._scaled(role, "m/s")
         if column.dimension is Dimension.SPEED:
             return speed
@@ -214,7 +210,7 @@ class _Conversion:
         """An angle or a turn rate, rad or rad/s, of which degrees are taken if in radians the robot
         would turn faster than any does.
         """
-        known = self.options.unit_of(self._column(role))
+        known = self.options.unit_of(self.layout.column(role))
         raw = self.values[role]
         if role in (Role.TURN_RATE, Role.YAW_RATE):
             rates = np.abs(raw)
@@ -229,7 +225,7 @@ class _Conversion:
         if known is None and fast > _FASTEST_TURN:
             usual = usual.replace("rad", "deg")
             self.notes.append(
-                f"the column {self._column(role).name} is read in {usual}: in radians the robot "
+                f"the column {self.layout.column(role).name} is read in {usual}: in radians the robot "
                 f"would turn at {fast:.3g} rad/s; --angle-unit says another unit"
             )
         return self._scaled(role, usual)
@@ -242,13 +238,13 @@ class _Conversion:
         if not roles:
             return None
         if Role.QW in roles:
-            name = self._column(Role.QW).name
+            name = self.layout.column(Role.QW).name
             choices = {"": _yaw_of([self.values[role] for role in _QUATERNION])}
             role = Role.QW
         else:
             role = next(iter(roles))
-            name = self._column(role).name
-            known = self.options.unit_of(self._column(role))
+            name = self.layout.column(role).name
+            known = self.options.unit_of(self.layout.column(role))
             rate = "/s" if role is Role.YAW_RATE else ""
             units = (f"rad{rate}", f"deg{rate}") if known is None else (known,)
             choices = {unit: self._integrated(role, unit) for unit in units}
@@ -288,9 +284,7 @@ class _Conversion:
         ]
         if unused:
             are = "are" if len(unused) > 1 else "is"
-            self.notes.append(
-                f"the columns hold speeds, so {' and '.join(unused)} {are} not used"
-            )
+            self.notes.append(f"the columns hold speeds, so {' and '.join(unused)} {are} not used")
 
 
 def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | None, float]:
@@ -309,9 +303,7 @@ def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | N
         expected = np.diff(by_wheels[is_there])
         together = float(turned @ expected)
         slope = together / max(float(expected @ expected), 1e-12)
-        found = abs(together) / max(
-            float(np.linalg.norm(turned) * np.linalg.norm(expected)), 1e-12
-        )
+        found = abs(together) / max(float(np.linalg.norm(turned) * np.linalg.norm(expected)), 1e-12)
         if found >= correlation and 1.0 / _LARGEST_FACTOR <= abs(slope) <= _LARGEST_FACTOR:
             best, factor, correlation = unit, slope, found
     return best, factor
