@@ -101,47 +101,76 @@ _ALLOWED = {
     Role.RANGE: {Dimension.LENGTH},
 }
 
+
+def _words_in(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
 # Words of what the robot was told to do, of the truth, and of figures about a measurement.
-_NOT_MEASURED = set(
+_NOT_MEASURED = _words_in(
     "pwm cmd command duty power current voltage volt volts battery bat batt target setpoint goal "
     "desired ref reference error err temp temperature status quality signal sigma ambient cov "
     "covariance std var seq id rssi true truth gt mocap vicon acc accel acceleration pitch roll "
-    "mag dt loop period valid".split()
+    "mag dt loop period valid"
 )
-_CLOCK = set("t time stamp timestamp datetime clock uptime".split())
-_SENSOR = set(
+_CLOCK = _words_in("t time stamp timestamp datetime clock uptime")
+_SENSOR = _words_in(
     "r range ranges dist distance tof flight us uss sonar ultrasonic ultrasound ir lidar laser "
-    "prox proximity sharp sensor echo beam hcsr hc vl d s".split()
+    "prox proximity sharp sensor echo beam hcsr hc vl d s"
 )
 _SHORT_SENSOR = {"r", "d", "s", "us", "ir"}
 _SHORT_LAST = {"us", "ir"}
 _MINUS = {"m", "minus", "neg"}
 _LEFT, _RIGHT = {"left", "l", "lft"}, {"right", "r", "rgt"}
-_SPEED = set("speed vel velocity v".split())
-_ROTATION = set("w omega angular rotational".split())
-_TICKS = set("enc encoder encoders counter".split()) | {"ticks", *_SPELLINGS["ticks"]}
+_SPEED = _words_in("speed vel velocity v")
+_ROTATION = _words_in("w omega angular rotational")
+_TICKS = _words_in("enc encoder encoders counter") | {"ticks", *_SPELLINGS["ticks"]}
 _WHEEL = (
-    set("wheel wheels motor travel odo odom odometry pos position joint rate delta total".split())
+    _words_in("wheel wheels motor travel odo odom odometry pos position joint rate delta total")
     | _SPEED
     | _ROTATION
     | _TICKS
 )
-_PLACE = set(
+_PLACE = _words_in(
     "odom odometry pos pose position state estimate field robot base kalman est world global "
-    "translation transform local p ekf msg data".split()
+    "translation transform local p ekf msg data"
 )
 _FLIGHT_CONTROLLER = {"stabilizer", "estimate"}
-_INERTIAL = set("imu bno mpu icm lsm gyro compass fused stabilizer attitude ahrs euler".split())
-_COMPUTED_HEADING = {"theta", "th", "phi", "psi"}
-_HEADING = _COMPUTED_HEADING | {"yaw", "heading", "azimuth", "bearing"}
-_GYRO = {"gz", "gyro", "gyr"}
-_TURNING = set("omega w wz angular ang turn turning rot vth vtheta yawrate yaw".split())
-_TURNING_BESIDE = set("z vel velocity speed rate twist robot field odom base imu".split())
-_FORWARD = set("v vx vel velocity speed linear lin".split())
-_FORWARD_BESIDE = set("x forward twist robot field odom base translational".split())
-_DISTANCES = ({"distance"}, {"dist"}, {"travel"}, {"travelled", "distance"}, {"delta", "distance"})
-_ANGLES = ({"angle"}, {"delta", "angle"}, {"turned", "angle"}, {"delta", "theta"})
-_QUATERNION = {"orientation", "quaternion", "quat", "q", "rotation"}
+_INERTIAL = _words_in("imu bno mpu icm lsm gyro compass fused stabilizer attitude ahrs euler")
+_COMPUTED_HEADING = _words_in("theta th phi psi")
+_HEADING = _COMPUTED_HEADING | _words_in("yaw heading azimuth bearing")
+_GYRO = _words_in("gz gyro gyr")
+_FORWARD = _words_in("v vx vel velocity speed linear lin")
+_QUATERNION = _words_in("orientation quaternion quat q rotation")
+_QUATERNION_PARTS = _words_in("qx qy qz qw")
+_NO_SENSOR = _TICKS | _INERTIAL | _words_in("wheel motor")
+# Names that have exactly these words.
+_EXACT = {
+    _words_in(words): role
+    for role, several in (
+        (Role.DISTANCE, ("distance", "dist", "travel", "travelled distance", "delta distance")),
+        (Role.ANGLE, ("angle", "delta angle", "turned angle", "delta theta")),
+        (Role.YAW_RATE, ("yaw rate", "yawrate", "heading rate", "imu yaw rate")),
+    )
+    for words in several
+}
+# Names that have one of some words, and no other words than these and those beside them.
+_MOTIONS = (
+    (Role.X, _words_in("x px"), _PLACE),
+    (Role.Y, _words_in("y py"), _PLACE),
+    (Role.HEADING, _COMPUTED_HEADING, _PLACE | {"angle"}),
+    (Role.YAW, _HEADING, _INERTIAL | {"angle"}),
+    (Role.HEADING, _HEADING, _PLACE | _INERTIAL | {"angle"}),
+    (Role.YAW, _words_in("angle"), _INERTIAL | {"z"}),
+    (Role.YAW_RATE, _GYRO, _INERTIAL | _words_in("z rate yaw")),
+    (Role.YAW_RATE, _words_in("imu"), _words_in("angular vel velocity rate z w wz field")),
+    (
+        Role.TURN_RATE,
+        _words_in("omega w wz angular ang turn turning rot vth vtheta"),
+        _words_in("z vel velocity speed rate twist robot field odom base yaw"),
+    ),
+    (Role.SPEED, _FORWARD, _words_in("x forward twist robot field odom base translational")),
+)
 
 # Words that are written together, as in "encoderleft" or "gyroz", are taken apart by these.
 _VOCABULARY = sorted(
@@ -151,8 +180,8 @@ _VOCABULARY = sorted(
         for word in words
         if len(word) > 1
     }
-    | set("left right front back rear yaw rate host linear angular".split())
-    | set("fl fr bl br".split()),
+    | _words_in("left right front back rear yaw rate host linear angular")
+    | _words_in("fl fr bl br"),
     key=len,
     reverse=True,
 )
@@ -306,17 +335,19 @@ def _range(name: str, text: str, words: list[str]) -> Column | None:
     """
     if not words or is_vertical(text):
         return None
-    column = Column(name, Role.RANGE)
+    # A log block of a Crazyflie is in mm.
+    usual = "mm" if text.lower().startswith("range.") else None
+    column = Column(name, Role.RANGE, usual=usual)
     is_short = words[0] in _SHORT_SENSOR or words[-1] in _SHORT_LAST
     if len(words) == 1 or not (is_short or set(words) & (_SENSOR - _SHORT_SENSOR)):
         degrees = direction_of("_".join(words)) if _is_direction(words) else None
-        if degrees is None or _wheel(words) is not None:
-            return None
-        return replace(column, degrees=degrees, is_word=True, is_bare=True)
-    if set(words) & (_TICKS | _INERTIAL | {"wheel", "motor"}):
-        return None
-    if text.lower().startswith("range."):  # a log block of a Crazyflie
-        column = replace(column, usual="mm")
+        is_wheel = degrees is None or _wheel(words) is not None
+        return None if is_wheel else replace(column, degrees=degrees, is_word=True, is_bare=True)
+    return None if set(words) & _NO_SENSOR else _pointing(column, text, words)
+
+
+def _pointing(column: Column, text: str, words: list[str]) -> Column | None:
+    """The column of a range with the direction in its name."""
     if re.search(r"\d_?deg(?![a-z])", text.lower()):
         return replace(column, degrees=direction_of(text))
     beside = words[1:] if words[0] in _SHORT_SENSOR else words
@@ -324,9 +355,9 @@ def _range(name: str, text: str, words: list[str]) -> Column | None:
     last = _LAST_NUMBER.search(text)
     if named is not None:
         size = abs(float(last[1])) if last else 0.0
-        if size >= _FEWEST_DEGREES and abs(named) == 90.0:
-            return replace(column, degrees=math.copysign(size, named))
-        return replace(column, degrees=named, is_word=True)
+        is_exact = size >= _FEWEST_DEGREES and abs(named) == 90.0
+        degrees = math.copysign(size, named) if is_exact else named
+        return replace(column, degrees=degrees, is_word=not is_exact)
     if last is None:
         return column if re.match(r"r(ange)?[_\[]", text.lower()) else None
     is_negative = len(words) > 1 and words[-2] in _MINUS
@@ -368,27 +399,12 @@ def _clock(words: list[str], unit: str | None) -> Role | None:
 
 def _motion(words: list[str]) -> Role | None:
     """The part of a pose or of a motion that the words name."""
-    if not words:
-        return None
-    known, last, others = set(words), words[-1], set(words[:-1])
-    if (last in ("x", "y", "z", "w") and others & _QUATERNION) or last in ("qx", "qy", "qz", "qw"):
+    known = frozenset(words)
+    if not words or known in _EXACT:
+        return _EXACT.get(known)
+    last = words[-1]
+    if last in _QUATERNION_PARTS or (last in {"x", "y", "z", "w"} and known & _QUATERNION):
         return Role(f"q{last[-1]}")
-    if last in ("x", "y") and others <= _PLACE:
-        return Role.X if last == "x" else Role.Y
-    if last in ("px", "py") and not others:
-        return Role(last[-1])
-    if last in _HEADING and others <= _PLACE | _INERTIAL | {"angle"}:
-        is_computed = last in _COMPUTED_HEADING or bool(others & _PLACE and not others & _INERTIAL)
-        return Role.HEADING if is_computed else Role.YAW
-    if known == {"angle", "z"} or (known & _INERTIAL and last == "angle"):
-        return Role.YAW
-    if known & _GYRO and known <= _GYRO | _INERTIAL | {"z", "rate", "yaw"}:
-        return Role.YAW_RATE
-    if known & _TURNING and known <= _TURNING | _TURNING_BESIDE:
-        is_inertial = "imu" in known or {"yaw", "rate"} <= known or "yawrate" in known
-        return Role.YAW_RATE if is_inertial else Role.TURN_RATE
-    if known & _FORWARD and known <= _FORWARD | _FORWARD_BESIDE:
-        return Role.SPEED
-    if known in _DISTANCES:
-        return Role.DISTANCE
-    return Role.ANGLE if known in _ANGLES else None
+    return next(
+        (role for role, some, beside in _MOTIONS if known & some and known <= some | beside), None
+    )

@@ -217,10 +217,11 @@ class _Table:
         is_whole = bool((time == np.round(time)).all())
         for unit, (low, high) in _SPACINGS.items():
             if low <= spacing < high and is_whole:
-                return unit, [
+                note = (
                     f"the times are read in {unit}, since the rows are {spacing:g} apart; "
                     "--time-unit says another unit"
-                ]
+                )
+                return unit, [note]
         return "s", []
 
     def _odometry(self, numbers: FloatArray) -> Odometry:
@@ -247,7 +248,7 @@ class _Table:
             farthest = TOO_FAST * robot.max_wheel_speed * lasted
         is_far = np.abs(moves).max(axis=1) > farthest
         if self.layout.form is not Form.POSES and not self.options.accumulated:
-            return is_far
+            return np.asarray(is_far)
         is_impossible = np.zeros(len(time), dtype=np.bool_)
         after_both = np.abs(moves[:-1] + moves[1:]).max(axis=1) <= farthest[:-1] + farthest[1:]
         is_impossible[:-1] = is_far[:-1] & is_far[1:] & after_both

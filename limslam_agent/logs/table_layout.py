@@ -129,7 +129,7 @@ def layout_of(columns: tuple[Column, ...], *, has_robot: bool, is_chosen: bool) 
     ]
     if missing:
         raise ValueError(_missing(missing, columns, is_chosen=is_chosen))
-    inertial = _inertial(places, motion) if form is Form.WHEELS else {}
+    inertial = _inertial(places) if form is Form.WHEELS else {}
     return Layout(columns, form, {Role.TIME: places[Role.TIME], **motion}, inertial, ranges)
 
 
@@ -160,7 +160,7 @@ def range_directions(
         return _in_robots_order(ranges, robot, source)
     if robot is not None and not _fits(named, robot) and any(each.is_word for each in ranges):
         beams = np.degrees(robot.beam_angles).tolist()
-        order = range(len(beams))
+        order = list(range(len(beams)))
         if len(set(named)) == len(named):
             by_angle = sorted(range(len(beams)), key=lambda beam: beams[beam])
             rank = np.argsort(np.argsort(named)).tolist()
@@ -170,6 +170,9 @@ def range_directions(
             for degrees, beam in zip(named, order, strict=True)
         ):
             return _assigned(ranges, [beams[beam] for beam in order])
+    far = next((each for each in named if abs(each) > 360.0), None)
+    if far is not None:
+        raise ValueError(f"{source} names a beam at {far:g} deg, which is not within 360 deg")
     turns = [round(degrees % 360.0, 6) for degrees in named]
     for degrees, turn in zip(named, turns, strict=True):
         if turns.count(turn) > 1:
@@ -269,7 +272,7 @@ def _odometry(
     return Form.MOTION, {**forward, **turn} if forward and turn else {}
 
 
-def _inertial(places: dict[Role, int], motion: dict[Role, int]) -> dict[Role, int]:
+def _inertial(places: dict[Role, int]) -> dict[Role, int]:
     """Places of a heading beside wheels. That of a pose is no measurement of its own."""
     has_pose = bool(_picked(places, Role.X, Role.Y))
     headings: list[tuple[Role, ...]] = [(Role.YAW,), (Role.YAW_RATE,)]
@@ -346,10 +349,11 @@ def _assigned(ranges: Sequence[Column], degrees: Sequence[float]) -> tuple[list[
         f"{column.name} {each:g}" for column, each in zip(ranges, rounded, strict=True)
     )
     named = ",".join(f"r_{each:g}" for each in rounded)
-    return list(degrees), [
+    note = (
         f"the ranges are taken as the robot's beams, deg: {pairs}; if that is wrong, --columns "
         f"names them, as in {named}"
-    ]
+    )
+    return list(degrees), [note]
 
 
 def _fits(named: Sequence[float], robot: RobotSpec) -> bool:

@@ -258,8 +258,9 @@ class _Conversion:
             self.units[role] = unit
         if factor < 0.0:
             self.notes.append(
-                f"the heading in {name} counts against the turns by the wheels, so it is read the "
-                f"other way round: -{role} in --columns says so; or left and right are exchanged"
+                f"the heading in {name} counts against the turns by the wheels, so it is read "
+                f"the other way round: -{role} in --columns says so, unless left and right are "
+                "exchanged"
             )
         return float(np.copysign(1.0, factor)) * choices[unit]
 

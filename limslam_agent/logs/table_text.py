@@ -213,8 +213,7 @@ class Rows:
         is_short = len(fields) < len(self.header.columns)
         silent = is_short or all(fields[place] == NO_SCAN for place in self.ranges)
         values = [self._seconds(fields[self.needed[0]])]
-        for place in self.needed[1:]:
-            values.append(_finite(fields[place], self.header.columns[place]))
+        values += [_finite(fields[place], self.header.columns[place]) for place in self.needed[1:]]
         if is_short:
             return values + [math.nan] * len(self.optional), False
         return values + [_reading(fields[place]) for place in self.optional], not silent
@@ -335,7 +334,8 @@ def _chosen_header(seen: Sequence[tuple[int, bytes]], chosen: Sequence[str]) -> 
         return Header(columns, b",", is_chosen=True)
     _, separator = _names(seen[-1][1])
     before = seen[-2][1].strip().replace(b'"', b"") if len(seen) > 1 else b""
-    return Header(columns, separator, before, max(_count_of_text(seen[:-1]) - 1, 0), True)
+    skipped = max(_count_of_text(seen[:-1]) - 1, 0)
+    return Header(columns, separator, before, skipped, is_chosen=True)
 
 
 def _incomplete_header(
