@@ -12,6 +12,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 
 from limslam_agent.logs.directions import direction_of, is_vertical, words_of
 
@@ -190,6 +191,7 @@ _TOGETHER = re.compile(f"(?:{'|'.join(_VOCABULARY)})+[lrxyz]?")
 _ABBREVIATED = re.compile(r"[vwd][lr]|[lr](?:enc|ticks?)")
 _BRACKET = re.compile(r"^(.*?)\s*[\[(]\s*([^\[\]()]+?)\s*[\])]\s*$")
 _LAST_NUMBER = re.compile(r"(?<![\d.])([-+]?\d+(?:\.\d+)?)[\])\s]*$")
+_MOST_KEPT = 10_000  # names whose columns are kept
 _FEWEST_DEGREES = 10.0  # a smaller number after a word such as left counts sensors
 _MOST_PLACES = 16  # more columns that are numbered one by one are directions in degrees
 
@@ -238,6 +240,7 @@ class Column:
         return None if unit is None else DIMENSION_OF[unit]
 
 
+@lru_cache(maxsize=_MOST_KEPT)
 def column_of(name: str) -> Column:
     """What a column of this name holds. A ``-`` before the name says that it counts the other
     way.

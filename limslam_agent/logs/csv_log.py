@@ -101,7 +101,9 @@ def read_csv(
     """
     options = options or TableOptions()
     with naming(path):
-        header, lines = split_header(numbered_lines(path), options.columns)
+        robot = options.robot
+        beams = [] if robot is None else np.degrees(robot.beam_angles).tolist()
+        header, lines = split_header(numbered_lines(path), options.columns, beams)
         table = _Table.of(header, beams_deg, max_range, options)
         for number, line in lines:
             table.rows.add(number, line)
@@ -247,9 +249,12 @@ class _Table:
             robot = self.options.robot or RobotSpec()
             farthest = TOO_FAST * robot.max_wheel_speed * lasted
         is_far = np.abs(moves).max(axis=1) > farthest
-        if self.layout.form is not Form.POSES and not self.options.accumulated:
-            return np.asarray(is_far)
         is_impossible = np.zeros(len(time), dtype=np.bool_)
+        if self.layout.form is not Form.POSES and (
+            odometry.is_speed or not self.options.accumulated
+        ):
+            is_impossible[1:-1] = is_far[1:-1] & ~is_far[:-2] & ~is_far[2:]
+            return is_impossible
         after_both = np.abs(moves[:-1] + moves[1:]).max(axis=1) <= farthest[:-1] + farthest[1:]
         is_impossible[:-1] = is_far[:-1] & is_far[1:] & after_both
         return is_impossible

@@ -19,6 +19,9 @@ from limslam_env.messages import counted
 NOT_USED = "-"
 """Name of a column that is not used."""
 
+DOTS = "..."
+"""Stands in a header for directions in equal steps."""
+
 _EXAMPLE = "t,left,right,r_90,r_0,... or t,x,y,theta,r_90,r_0,..."
 _MOST_NAMED = 12  # columns in a message
 _WORD_PRECISION_DEG = 45.0  # "front_left" is any direction between front and left
@@ -83,7 +86,7 @@ def columns_of(names: Sequence[str]) -> tuple[Column, ...]:
     check_beams(len(names) - 4)
     columns: list[Column] = []
     for place, name in enumerate(names):
-        if name == "...":
+        if name == DOTS:
             after = [column_of(each) for each in names[place + 1 :]]
             columns += [column_of(f"r_{each:g}") for each in _between(columns, after)]
         else:
@@ -121,7 +124,7 @@ def layout_of(columns: tuple[Column, ...], *, has_robot: bool, is_chosen: bool) 
     missing = [
         words
         for words, is_there in (
-            ("the time of each row", Role.TIME in places),
+            ("the time of each row (t)", Role.TIME in places),
             (_missing_odometry(places), bool(motion)),
             ("a range (r_90, range_front)", bool(ranges)),
         )
@@ -293,7 +296,7 @@ def _missing_odometry(places: dict[Role, int]) -> str:
     for first, second in ((Role.LEFT, Role.RIGHT), (Role.X, Role.Y)):
         for there, lacking in ((first, second), (second, first)):
             if there in places and lacking not in places:
-                return f"{lacking}, although there is {there}"
+                return f"{lacking} beside {there}"
     if Role.LEFT in places:
         return "both wheels in one unit"
     if Role.X in places:
@@ -310,11 +313,10 @@ def _missing(missing: list[str], columns: Sequence[Column], *, is_chosen: bool) 
     more = ",..." if len(columns) > _MOST_NAMED else ""
     if is_chosen:
         return f"--columns has no column with {what}: it must name {_EXAMPLE}, not {found!r}"
-    line = ",".join(_canonical(each) for each in columns[:_MOST_NAMED])
-    return (
-        f"no column with {what}: found {found}{more}. --columns {line}{more} names them, with "
-        "names such as t, left, right or r_90 in place of each - that is one of them"
-    )
+    names = [_canonical(each) for each in columns[:_MOST_NAMED]]
+    copied = f"--columns {','.join(names)}{more}, with its name in place of a -, says which it is"
+    advice = f". {copied}" if NOT_USED in names else ""
+    return f"no column with {what}: found {found}{more}{advice}"
 
 
 def _canonical(column: Column) -> str:
@@ -333,11 +335,14 @@ def _in_robots_order(
     """The directions of the robot's beams, for ranges whose names say none."""
     names = ",".join(each.name for each in ranges[:_MOST_NAMED])
     if robot is None or len(robot.beams) != len(ranges):
-        beams = "" if robot is None else f" of {counted(len(robot.beams), 'beam')}"
+        beams = (
+            f"--robot FILE of {counted(len(ranges), 'beam')} says it, too"
+            if robot is None
+            else f"the robot has {counted(len(robot.beams), 'beam')}, not {len(ranges)}"
+        )
         raise ValueError(
-            f"{source} does not say where {names} point: --columns names the direction of each, as "
-            f"in r_90,r_0,r_-90, and a robot{beams} has its beams in the order of "
-            f"{counted(len(ranges), 'column')} if it has as many"
+            f"{source} does not say where {names} point: --columns names their directions, as in "
+            f"r_90,r_0,r_-90; {beams}"
         )
     return _assigned(ranges, np.degrees(robot.beam_angles).tolist())
 

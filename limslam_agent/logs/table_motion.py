@@ -258,11 +258,10 @@ class _Conversion:
             self.units[role] = unit
         if factor < 0.0:
             self.notes.append(
-                f"the heading in {name} counts against the turns by the wheels, so it is read "
-                f"the other way round: -{role} in --columns says so, unless left and right are "
-                "exchanged"
+                f"the heading in {name} counts against the turns by the wheels, and is read the "
+                f"other way: -{role} in --columns says so, or left and right are exchanged"
             )
-        return float(np.copysign(1.0, factor)) * choices[unit]
+        return np.asarray(se2.wrap_angle(float(np.copysign(1.0, factor)) * choices[unit]))
 
     def _integrated(self, role: Role, unit: str) -> FloatArray:
         """A heading (n,), rad, from a column of headings or of turn rates in a unit."""

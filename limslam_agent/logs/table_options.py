@@ -228,7 +228,8 @@ def check_travel(
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
     farthest = np.abs(wheels).max(axis=1)
-    is_too_far = farthest > TOO_FAST * robot.max_wheel_speed * lasted
+    farthest_possible = TOO_FAST * robot.max_wheel_speed * lasted
+    is_too_far = farthest > farthest_possible
     if not is_too_far.any():
         return
     row = int(np.argmax(is_too_far))
@@ -239,6 +240,8 @@ def check_travel(
             f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again "
             "after a power of two"
         )
+    elif (np.abs(np.diff(wheels, axis=0)).max(axis=1, initial=0.0) <= farthest_possible[1:]).all():
+        question = "They look like counters: --accumulated says that they count from the start"
     else:
         question = (
             "Are left and right metres since the row before? --metres-per-tick converts ticks, "

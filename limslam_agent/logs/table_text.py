@@ -18,9 +18,9 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.logs.columns import UNITS, Column
-from limslam_agent.logs.recorded_log import is_number
-from limslam_agent.logs.table_layout import columns_of, completeness
+from limslam_agent.logs.columns import UNITS, Column, column_of
+from limslam_agent.logs.recorded_log import MOST_BEAMS, is_number
+from limslam_agent.logs.table_layout import DOTS, columns_of, completeness
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.messages import counted, described
 
@@ -44,6 +44,8 @@ _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
 _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
 _LONGEST_QUOTE = 60
+# What a serial monitor writes before each line.
+_MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,9 @@ class Header:
 
 
 def split_header(
-    lines: Iterator[tuple[int, bytes]], chosen: Sequence[str] = ()
+    lines: Iterator[tuple[int, bytes]],
+    chosen: Sequence[str] = (),
+    beams_deg: Sequence[float] = (),
 ) -> tuple[Header, Iterator[tuple[int, bytes]]]:
     """The header of a table, and the numbered lines after it.
 
@@ -87,6 +91,8 @@ def split_header(
         The lines of the file with their numbers.
     chosen
         Names of the columns in place of those of the file, or nothing.
+    beams_deg
+        Directions of the robot's beams, deg, for the message about a table without a header.
 
     Returns
     -------
@@ -99,6 +105,7 @@ def split_header(
     ValueError
         If there is neither a header nor a choice, or a choice is no list of columns.
     """
+    lines = ((number, _MONITOR_TIME.sub(b"", line)) for number, line in lines)
     seen: list[tuple[int, bytes]] = []
     size = 0
     for number, line in lines:
@@ -113,7 +120,7 @@ def split_header(
             break
     if chosen:
         return _chosen_header(seen, chosen), chain(seen[1:], lines)
-    return _incomplete_header(seen, lines)
+    return _incomplete_header(seen, lines, beams_deg)
 
 
 def has_rows_of_numbers(lines: Iterable[tuple[int, bytes]]) -> bool:
@@ -193,8 +200,9 @@ class Rows:
         if not self.damaged or self.allows():
             return
         lines = self.damaged + len(self.lines)
-        share = f"{counted(self.damaged, 'line')} of {lines} cannot be read as rows of the table"
-        raise ValueError(f"{self.first_damage}. {share}: {NO_ROW}")
+        share = f"{self.damaged} of {counted(lines, 'line')} cannot be read as rows of the table"
+        columns = "" if self.lines else "; or --columns names the columns in place of the header"
+        raise ValueError(f"{self.first_damage}. {share}: {NO_ROW}{columns}")
 
     def arrays(self) -> tuple[FloatArray, BoolArray, NDArray[np.int64]]:
         """The numbers (n, needed and optional columns), whether each row has a scan (n,), and the
@@ -241,7 +249,7 @@ class Rows:
             else ""
         )
         names = "--columns names" if self.header.is_chosen else "the header names"
-        raise ValueError(f"{len(fields)} columns where {names} {count}{hint}")
+        raise ValueError(f"{counted(len(fields), 'column')} where {names} {count}{hint}")
 
     def _seconds(self, field: bytes) -> float:
         """The time in a field: a number, or a date and a time of the calendar, s."""
@@ -292,9 +300,12 @@ def _reading(field: bytes) -> float:
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
     """Names of columns in a line, and the separator (None for spaces)."""
-    text = line.decode("utf-8", "replace").replace('"', "").strip().lstrip("#").strip()
-    text = _SPACED_UNIT.sub(r"\1\2\3", text)
-    if not _ANY_UNIT.search(text):
+    text = line.decode("utf-8", "replace").replace('"', "").strip()
+    is_remark = text.startswith("#")
+    text = _SPACED_UNIT.sub(r"\1\2\3", text.lstrip("#").strip())
+    if is_remark:
+        text = text.partition(" (")[0]
+    elif not _ANY_UNIT.search(text):
         text = _REMARK.sub("", text)
     # A semicolon goes first: a comma beside it is a decimal mark.
     separator = next((mark for mark in (";", ",", "\t") if mark in text), None)
@@ -305,14 +316,13 @@ def _names(line: bytes) -> tuple[list[str], bytes | None]:
 
 
 def _columns_in(line: bytes) -> tuple[Column, ...]:
-    """What the columns of a line hold, if it is a header. Empty for a line that is none."""
+    """What the columns of a line hold, if it is a header. Empty for a line that is none, such as
+    one of a CARMEN log, which has a number after its first word.
+    """
+    if any(is_number(word) for word in line.split(None, 3)[:3]):
+        return ()
     names, _ = _names(line)
-    if len(names) < 2 or 2 * sum(map(is_number, names)) > len(names):
-        return ()
-    try:
-        return columns_of(names)
-    except ValueError:  # "..." in a sentence, or a line of a thousand words
-        return ()
+    return tuple(column_of(name) for name in names[:MOST_BEAMS] if name != DOTS)
 
 
 def _header(seen: Sequence[tuple[int, bytes]]) -> Header:
@@ -339,20 +349,30 @@ def _chosen_header(seen: Sequence[tuple[int, bytes]], chosen: Sequence[str]) -> 
 
 
 def _incomplete_header(
-    seen: list[tuple[int, bytes]], lines: Iterator[tuple[int, bytes]]
+    seen: list[tuple[int, bytes]],
+    lines: Iterator[tuple[int, bytes]],
+    beams_deg: Sequence[float],
 ) -> tuple[Header, Iterator[tuple[int, bytes]]]:
     """The line that is most like a header, for the message about what it lacks."""
-    texts = [place for place, (_, line) in enumerate(seen) if _count_of_text([seen[place]])]
+    texts = [
+        place
+        for place, (_, line) in enumerate(seen)
+        if _count_of_text([seen[place]]) or completeness(_columns_in(line)) > 1
+    ]
     if not texts:
         raise ValueError("is empty: it has no header, such as t,left,right,r_90,r_0,...")
     rows = [place for place in texts if _is_row(seen[place][1])]
     first = rows[0] if rows else len(seen)
     before = [place for place in texts if place < first]
     if not before:
-        fields = seen[first][1].split(_names(seen[first][1])[1])
+        count = len(seen[first][1].split(_names(seen[first][1])[1]))
+        motion = "t,x,y,theta" if count == len(beams_deg) + 4 else "t,left,right"
+        beams = [f",r_{round(degrees, 1):g}" for degrees in beams_deg]
+        ranges = "".join(beams) or ",r_90" + ",-" * max(count - 4, 0)
         raise ValueError(
-            f"line {seen[first][0]}: has no header: --columns t,left,right,r_90,... names its "
-            f"{counted(len(fields), 'column')} in their order, with - for one that is not used"
+            f"line {seen[first][0]}: has no header for {counted(count, 'column')}: --columns "
+            f"{motion}{ranges} names them, in the order of the file and with - for one that is not "
+            "used"
         )
     counts = [completeness(_columns_in(seen[place][1])) for place in before]
     best = before[-1] if not any(counts) else before[counts.index(max(counts))]
