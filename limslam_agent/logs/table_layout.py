@@ -23,6 +23,7 @@ DOTS = "..."
 """Stands in a header for directions in equal steps."""
 
 _EXAMPLE = "t,left,right,r_90,r_0,... or t,x,y,theta,r_90,r_0,..."
+_TIME = "the time of each row (t)"
 _MOST_NAMED = 12  # columns in a message
 _WORD_PRECISION_DEG = 45.0  # "front_left" is any direction between front and left
 _QUATERNION = (Role.QX, Role.QY, Role.QZ, Role.QW)
@@ -124,7 +125,7 @@ def layout_of(columns: tuple[Column, ...], *, has_robot: bool, is_chosen: bool) 
     missing = [
         words
         for words, is_there in (
-            ("the time of each row (t)", Role.TIME in places),
+            (_TIME, Role.TIME in places),
             (_missing_odometry(places), bool(motion)),
             ("a range (r_90, range_front)", bool(ranges)),
         )
@@ -314,9 +315,15 @@ def _missing(missing: list[str], columns: Sequence[Column], *, is_chosen: bool) 
     if is_chosen:
         return f"--columns has no column with {what}: it must name {_EXAMPLE}, not {found!r}"
     names = [_canonical(each) for each in columns[:_MOST_NAMED]]
-    copied = f"--columns {','.join(names)}{more}, with its name in place of a -, says which it is"
-    advice = f". {copied}" if NOT_USED in names else ""
-    return f"no column with {what}: found {found}{more}{advice}"
+    if NOT_USED not in names:
+        return f"no column with {what}: found {found}{more}"
+    first = names.index(NOT_USED)
+    if missing[0] == _TIME:
+        names[first] = str(Role.TIME)
+        advice = f"says that {columns[first].name} is the time"
+    else:
+        advice = "with its name in place of a - says which it is"
+    return f"no column with {what}: found {found}{more}; --columns {','.join(names)}{more} {advice}"
 
 
 def _canonical(column: Column) -> str:
