@@ -276,8 +276,9 @@ def _words(text: str) -> list[str]:
     """The words of a name in lower case; those that are written together are taken apart."""
     found: list[str] = []
     words = words_of(text)
+    is_alone = len(words) == 1 or _unit_in(words[1:]) is not None
     for word in words:
-        if len(words) == 1 and _ABBREVIATED.fullmatch(word):
+        if is_alone and _ABBREVIATED.fullmatch(word):
             side = word[0] if len(word) > 2 else word[-1]
             rest = word.strip("lr")
             found += ["delta" if rest == "d" else rest, side]

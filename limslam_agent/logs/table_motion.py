@@ -225,8 +225,8 @@ class _Conversion:
         if known is None and fast > _FASTEST_TURN:
             usual = usual.replace("rad", "deg")
             self.notes.append(
-                f"the column {self.layout.column(role).name} is read in {usual}: in radians the robot "
-                f"would turn at {fast:.3g} rad/s; --angle-unit says another unit"
+                f"the column {self.layout.column(role).name} is read in {usual}: in radians the "
+                f"robot would turn at {fast:.3g} rad/s; --angle-unit says another unit"
             )
         return self._scaled(role, usual)
 
@@ -261,7 +261,8 @@ class _Conversion:
                 f"the heading in {name} counts against the turns by the wheels, and is read the "
                 f"other way: -{role} in --columns says so, or left and right are exchanged"
             )
-        return np.asarray(se2.wrap_angle(float(np.copysign(1.0, factor)) * choices[unit]))
+        yaw = float(np.copysign(1.0, factor)) * choices[unit]
+        return np.where(np.isfinite(yaw), se2.wrap_angle(yaw), np.nan)
 
     def _integrated(self, role: Role, unit: str) -> FloatArray:
         """A heading (n,), rad, from a column of headings or of turn rates in a unit."""
