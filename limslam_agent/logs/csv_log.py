@@ -195,7 +195,7 @@ class _Table:
             )
         robot = replace(robot or RobotSpec(), beams=self.beams, control_period=median_spacing(time))
         if odometry.wheels is not None:
-            check_travel(odometry.wheels, time, robot, self.options, is_speed=odometry.is_speed)
+            check_travel(odometry.wheels, time, robot, self.options, odometry.question)
         return RecordedLog(
             robot,
             time,
@@ -216,9 +216,8 @@ class _Table:
         if known is not None:
             return known, []
         spacing = median_spacing(time)
-        is_whole = bool((time == np.round(time)).all())
         for unit, (low, high) in _SPACINGS.items():
-            if low <= spacing < high and is_whole:
+            if low <= spacing < high:
                 note = (
                     f"the times are read in {unit}, since the rows are {spacing:g} apart; "
                     "--time-unit says another unit"

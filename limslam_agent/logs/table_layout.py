@@ -210,17 +210,11 @@ def _first_places(columns: Sequence[Column]) -> dict[Role, int]:
 
 def _wheels(columns: Sequence[Column]) -> dict[Role, int]:
     """Places of both wheels: of travel or ticks, or else of speeds."""
-    sides: dict[Role, dict[Dimension | None, int]] = {Role.LEFT: {}, Role.RIGHT: {}}
+    sides: dict[Role, dict[Dimension, int]] = {Role.LEFT: {}, Role.RIGHT: {}}
     for place, column in enumerate(columns):
         if column.role in sides:
-            sides[column.role].setdefault(column.dimension, place)
-    for dimension in (
-        Dimension.TICKS,
-        None,
-        Dimension.LENGTH,
-        Dimension.SPEED,
-        Dimension.TURN_RATE,
-    ):
+            sides[column.role].setdefault(column.dimension or Dimension.TICKS, place)
+    for dimension in (Dimension.TICKS, Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE):
         if all(dimension in places for places in sides.values()):
             return {role: places[dimension] for role, places in sides.items()}
     return {}
@@ -277,13 +271,12 @@ def _odometry(
 
 
 def _inertial(places: dict[Role, int]) -> dict[Role, int]:
-    """Places of a heading beside wheels. That of a pose is no measurement of its own."""
-    has_pose = bool(_picked(places, Role.X, Role.Y))
-    headings: list[tuple[Role, ...]] = [(Role.YAW,), (Role.YAW_RATE,)]
-    if not has_pose:
-        headings[1:1] = [(Role.HEADING,), _QUATERNION]
-    elif Role.HEADING not in places:
-        headings = [(Role.YAW_RATE,)]
+    """Places of a heading beside wheels. That of a pose is no measurement of its own, nor is a
+    ``theta``, which programs calculate from the wheels.
+    """
+    headings: tuple[tuple[Role, ...], ...] = ((Role.YAW,), _QUATERNION, (Role.YAW_RATE,))
+    if _picked(places, Role.X, Role.Y):
+        headings = ((Role.YAW,), (Role.YAW_RATE,)) if Role.HEADING in places else headings[2:]
     return next((found for roles in headings if (found := _picked(places, *roles))), {})
 
 

@@ -42,6 +42,8 @@ class Odometry:
         The unit in which each column was read.
     is_speed
         Whether the odometry was calculated from speeds.
+    question
+        What to ask where the travel is impossible. Empty for the travel of wheels.
     notes
         What was found and assumed, in words.
     """
@@ -51,6 +53,7 @@ class Odometry:
     yaw: FloatArray | None
     units: dict[Role, str]
     is_speed: bool
+    question: str
     notes: tuple[str, ...]
 
 
@@ -125,7 +128,15 @@ class _Conversion:
                 start = np.zeros(3)
                 poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
                 wheels = None
-        return Odometry(wheels, poses, yaw, self.units, self.is_speed, tuple(self.notes))
+        question = ""
+        if self.is_speed:
+            question = "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
+        elif self.layout.form is Form.MOTION:
+            question = (
+                "Is the distance in metres, since the row before? --position-unit and "
+                "--accumulated say otherwise"
+            )
+        return Odometry(wheels, poses, yaw, self.units, self.is_speed, question, tuple(self.notes))
 
     def _scaled(self, role: Role, usual: str) -> FloatArray:
         """A column in m, rad, m/s or rad/s. ``usual`` is its unit where nothing says another."""

@@ -217,37 +217,39 @@ def check_travel(
     time: FloatArray,
     robot: RobotSpec,
     options: TableOptions,
-    *,
-    is_speed: bool = False,
+    question: str = "",
 ) -> None:
     """Refuse wheel travel (n, 2), m, that the robot cannot drive between two rows with the times
-    (n,), s. ``is_speed`` says that it was calculated from speeds.
+    (n,), s.
 
-    The message asks about what the options have not said. Raises a ValueError if a wheel travels
-    more than ten times as far as the robot's largest wheel speed allows.
+    The message ends with ``question``, or asks about what the options have not said. Raises a
+    ValueError if a wheel travels more than ten times as far as the robot's largest wheel speed
+    allows.
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
-    farthest = np.abs(wheels).max(axis=1)
-    farthest_possible = TOO_FAST * robot.max_wheel_speed * lasted
-    is_too_far = farthest > farthest_possible
-    if not is_too_far.any():
+    travelled = np.abs(wheels).max(axis=1)
+    farthest = TOO_FAST * robot.max_wheel_speed * lasted
+    if not (travelled > farthest).any():
         return
-    row = int(np.argmax(is_too_far))
-    if is_speed:
-        question = "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
-    elif options.accumulated:
-        question = (
+    row = int(np.argmax(travelled > farthest))
+    raise ValueError(
+        f"a wheel travels {travelled[row]:.3g} m in {lasted[row]:.3g} s at time {time[row]:g} s, "
+        f"but the robot's max_wheel_speed is {robot.max_wheel_speed:g} m/s. "
+        f"{question or _question(wheels, farthest, options)}"
+    )
+
+
+def _question(wheels: FloatArray, farthest: FloatArray, options: TableOptions) -> str:
+    """What to ask about wheel travel (n, 2), m, of which some is more than ``farthest`` (n,), m."""
+    if options.accumulated:
+        return (
             f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again "
             "after a power of two"
         )
-    elif (np.abs(np.diff(wheels, axis=0)).max(axis=1, initial=0.0) <= farthest_possible[1:]).all():
-        question = "They look like counters: --accumulated says that they count from the start"
-    else:
-        question = (
-            "Are left and right metres since the row before? --metres-per-tick converts ticks, "
-            "and --accumulated says that they count from the start"
-        )
-    raise ValueError(
-        f"a wheel travels {farthest[row]:.3g} m in {lasted[row]:.3g} s at time {time[row]:g} s, "
-        f"but the robot's max_wheel_speed is {robot.max_wheel_speed:g} m/s. {question}"
+    changes = np.abs(np.diff(wheels, axis=0)).max(axis=1, initial=0.0)
+    if (changes[1:] <= farthest[2:]).all():
+        return "They look like counters: --accumulated says that they count from the start"
+    return (
+        "Are left and right metres since the row before? --metres-per-tick converts ticks, and "
+        "--accumulated says that they count from the start"
     )

@@ -57,6 +57,8 @@ TICKS = np.cumsum(WHEELS, axis=0) / 0.0001
     ("columns", "options"),
     [
         ({"right": RIGHT, "t": TIME, "left": LEFT}, {}),
+        ({"right_ticks": RIGHT, "enc_left": LEFT, "t": TIME}, {}),
+        ({"left": LEFT, "right_count": RIGHT, "t": TIME}, {}),
         ({"left [mm]": 1e3 * LEFT, "right [mm]": 1e3 * RIGHT, "millis": 1e3 * TIME}, {}),
         (
             {"time_us": 1e6 * TIME, "encL": TICKS[:, 0], "encR": TICKS[:, 1]},
@@ -220,6 +222,14 @@ def test_impossible_units_of_angles_are_refused(wrong):
         TableOptions(angle_unit=wrong)
 
 
+def test_impossible_travel_asks_about_the_form_of_the_odometry(write):
+    path = write(table({"t": TIME, "distance": 1e3 * FORWARD, "angle": TURN}))
+    message = refusal(path, table=TableOptions(ROBOT))
+    assert "Is the distance in metres, since the row before? --position-unit" in message
+    path = write(table({"t": TIME, "left_speed": 1e3 * LEFT, "right_speed": 1e3 * RIGHT}))
+    assert "as in left_mm_s" in refusal(path, table=TableOptions(ROBOT))
+
+
 # A heading beside wheels
 
 
@@ -255,6 +265,13 @@ def test_a_heading_may_be_missing_in_some_rows(write):
     log = read_log(write("\n".join(lines) + "\n"), table=TableOptions(ROBOT))
     assert np.isnan(log.yaw).tolist() == [row == 4 for row in range(COUNT)]
     assert len(log) == COUNT
+
+
+def test_a_heading_that_programs_calculate_from_the_wheels_is_no_measurement(write):
+    columns = {"t": TIME, "left": LEFT, "right": RIGHT, "theta": POSES[:, 2]}
+    log = read_log(write(table(columns)), table=TableOptions(ROBOT))
+    assert log.yaw is None
+    assert log.notes == ("1 column is not used: theta",)
 
 
 def test_a_heading_that_does_not_follow_the_wheels_is_left_out(write):
