@@ -265,8 +265,32 @@ class ReplayOptions(Bounded):
         bool,
         told(_TABLE, "The columns left and right count from the start, not from the row before."),
     ] = False
-    range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
-    time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
+    range_unit: Annotated[
+        str | None, told(_TABLE, "Unit of the ranges: m, cm or mm.", "that of their names, or m")
+    ] = None
+    time_unit: Annotated[
+        str | None,
+        told(
+            _TABLE,
+            "Unit of the times: s, ms, us or ns.",
+            "that of the name or of the spacing, or s",
+        ),
+    ] = None
+    angle_unit: Annotated[
+        str | None,
+        told(_TABLE, "Unit of headings and turns: rad or deg.", "that of their names, or rad"),
+    ] = None
+    position_unit: Annotated[
+        str | None,
+        told(
+            _TABLE,
+            "Unit of positions and travelled distances: m, cm or mm.",
+            "that of their names, or m",
+        ),
+    ] = None
+    wheel_radius: Annotated[
+        float | None, told(_TABLE, "Radius of the wheels, m, of speeds in rad/s or rpm.", "none")
+    ] = None
     zone_axes: Annotated[
         str | None,
         told(
@@ -286,10 +310,13 @@ class ReplayOptions(Bounded):
         str | None,
         told(
             _TABLE,
-            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one "
-            "not used.",
+            "What the columns hold, in place of the header: t,left,right,r_90,..., with - for one "
+            "not used, and - before the name of one that counts the other way.",
         ),
     ] = None
+    dry_run: Annotated[
+        bool, told(_LOG, "Say how the log is read, with its first rows, and stop.")
+    ] = False
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
     map: _Map = None

@@ -84,6 +84,9 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
     job = job_of(options.log, options, agent, robot)
+    if options.dry_run:
+        _describe(options.log, job.log)
+        return
     warn(log_warnings(job.log))
     with _folder(options, f"{_stem(options.log)}-{options.preset}", len(job.log)) as (
         folder,
@@ -126,6 +129,10 @@ def _carry_out_both(
         for path, file in zip(paths, files, strict=True)
     ]
     logs = [job.log for job in jobs]
+    if options.dry_run:
+        for path, log in zip(paths, logs, strict=True):
+            _describe(path, log)
+        return
     check_logs(logs, agent)
     for log in logs:
         warn(log_warnings(log))
@@ -140,6 +147,15 @@ def _carry_out_both(
         content = write_joint_replay(folder.beside, joint, (jobs[0].source, jobs[1].source), scores)
         write_replay_settings(folder.beside, options, agent, robot)
     _tell(content, [], folder.target, [])
+
+
+def _describe(path: Path, log: "RecordedLog") -> None:
+    """Print how a log was read, its first rows, and the warnings about it."""
+    from limslam_agent.logs.description import description
+    from limslam_agent.replay.plausibility import log_warnings
+
+    say(f"log         {path}", *description(log))
+    warn(log_warnings(log))
 
 
 @contextmanager
@@ -225,16 +241,20 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
     from limslam_agent.replay.options import numbers
 
     axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
-    columns = (
-        ()
-        if options.columns is None
-        else tuple(name.strip().lower() for name in options.columns.split(","))
+    columns = () if options.columns is None else tuple(options.columns.split(","))
+    return TableOptions(
+        robot,
+        options.metres_per_tick,
+        options.accumulated,
+        options.range_unit,
+        options.time_unit,
+        axes,
+        options.zero_is_nothing,
+        tuple(name.strip() for name in columns),
+        options.angle_unit,
+        options.position_unit,
+        options.wheel_radius,
     )
-    ticks, units = (
-        (options.metres_per_tick, options.accumulated),
-        (options.range_unit, options.time_unit),
-    )
-    return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:

@@ -94,6 +94,5 @@ def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
     if table is not None and table != TableOptions():
         raise LogError(
             f"{fspath(path)}: is not a table in plain text, so --robot, units, --columns and "
-            "--zero-is-nothing do not "
-            "go with it"
+            "--zero-is-nothing do not go with it"
         )

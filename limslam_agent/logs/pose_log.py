@@ -90,8 +90,10 @@ def pose_log(
     robot: RobotSpec | None = None,
     notes: Sequence[str] = (),
     gaps: Sequence[int] = (),
+    columns: tuple[str, ...] = (),
 ) -> RecordedLog:
-    """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
+    """The log of a robot that recorded poses. Its arrays, the notes and the columns are as in a
+    :class:`RecordedLog`.
 
     The headings of ``odometry`` may include full turns. Single poses that are off the path are
     replaced. Of a robot that is not described only a
@@ -116,6 +118,7 @@ def pose_log(
         odometry=odometry,
         notes=(*notes, *excursions_in_words(time, off)),
         gaps=tuple(gaps),
+        columns=columns,
     )
 
 

@@ -2,6 +2,7 @@
 
 import codecs
 import gzip
+import io
 import math
 import zlib
 from collections.abc import Callable, Iterator
@@ -9,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +99,8 @@ class RecordedLog:
         Events before which there was no odometry for a while.
     breaks
         The motions that the odometry poses do not tell: jumps and gaps.
+    columns
+        How each column of a table was read, a line each.
     negative
         How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
@@ -119,6 +122,7 @@ class RecordedLog:
     yaw: FloatArray | None = None
     notes: tuple[str, ...] = ()
     gaps: tuple[int, ...] = ()
+    columns: tuple[str, ...] = ()
     breaks: tuple[OdometryBreak, ...] = field(init=False, default=())
     negative: int = field(init=False, default=0)
 
@@ -296,10 +300,11 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         raw.seek(0)
         file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
         try:
-            while line := file.readline(LONGEST_LINE):
+            is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+            file.seek(0)
+            lines = _lines_of_utf16(file) if is_utf16 else _lines_of(file)
+            for line in lines:
                 number += 1
-                if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-                    raise ValueError("this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
@@ -307,6 +312,20 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
             raise ValueError(f"line {number + 1}: cut short: the gzip stream ends here") from error
         except (gzip.BadGzipFile, zlib.error) as error:
             raise ValueError(f"line {number + 1}: the gzip stream is damaged: {error}") from error
+
+
+def _lines_of(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
+    while line := file.readline(LONGEST_LINE):
+        yield line
+
+
+def _lines_of_utf16(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
+    """The lines of a text in UTF-16, in UTF-8."""
+    with io.TextIOWrapper(
+        cast("IO[bytes]", file), encoding="utf-16", errors="replace", newline="\n"
+    ) as text:
+        while line := text.readline(LONGEST_LINE):
+            yield line.encode("utf-8", "replace")
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
