@@ -186,12 +186,19 @@ class _Table:
         ranges = numbers[:, len(self.layout.places) :] * self.metres
         if self.options.zero_is_nothing:
             ranges[ranges <= 0.0] = np.inf
-        told = (*self._notes_of_text(), *self.notes, *notes, *odometry.notes)
+        found = (*self._notes_of_text(), *self.notes, *notes, *odometry.notes)
         columns = self._readings({Role.TIME: unit, **odometry.units})
         robot = self.options.robot
         if odometry.poses is not None:
             return pose_log(
-                self.beams, time, odometry.poses, ranges, has_scan, robot, told, columns
+                self.beams,
+                time,
+                odometry.poses,
+                ranges,
+                has_scan,
+                robot,
+                notes=found,
+                columns=columns,
             )
         robot = replace(robot or RobotSpec(), beams=self.beams, control_period=median_spacing(time))
         if odometry.wheels is not None:
@@ -203,7 +210,7 @@ class _Table:
             has_scan,
             wheels=odometry.wheels,
             yaw=odometry.yaw,
-            notes=told,
+            notes=found,
             columns=columns,
         )
 
