@@ -285,7 +285,7 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: 
             f"the largest range must be above the beam's shortest of {found.min_range:g} m, not "
             f"{reach:g}"
         )
-    return replace(found, max_range=reach, period=1)
+    return replace(found, max_range=reach, period=1, phase=0)
 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:

@@ -321,7 +321,9 @@ def accept(
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
-        measured[beam] = is_number and ekf.counts[STEP] % spec.periods[beam] == 0
+        step, period = ekf.counts[STEP], spec.schedule[0, beam]
+        is_due = step == 0 or step % period == spec.schedule[1, beam]
+        measured[beam] = is_number and is_due
         hits[beam] = (
             measured[beam]
             and beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]

@@ -99,13 +99,13 @@ class Spec(NamedTuple):
         ``RobotSpec``.
     beams
         ``RobotSpec.beam_table``.
-    periods, sides
-        Of each beam: steps between two measurements, and as of ``pending_readings.sides_of``.
+    schedule, sides
+        Of each beam: ``RobotSpec.schedule``, and as of ``pending_readings.sides_of``.
     """
 
     settings: NDArray[np.void]
     beams: FloatArray
-    periods: IntArray
+    schedule: IntArray
     sides: IntArray
 
 
@@ -127,9 +127,11 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
     settings = np.array(
         [tuple(given.values())], dtype=[(name, kinds[type(value)]) for name, value in given.items()]
     )
-    periods = np.array([beam.period for beam in robot.beams])
     return Spec(
-        settings, np.array(robot.beam_table), periods, sides_of(robot, estimator.pending.beams)
+        settings,
+        np.array(robot.beam_table),
+        robot.schedule.copy(),
+        sides_of(robot, estimator.pending.beams),
     )
 
 
