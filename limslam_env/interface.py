@@ -286,9 +286,9 @@ class RobotSpec:
         """
         return 2.0 * self.max_wheel_speed * self.control_period
 
-    def measures(self, step: int) -> BoolArray:
+    def measures(self, step: int | IntArray) -> BoolArray:
         """Which beams (n_beams,) take a new measurement at a step; the first observation is step
-        0, in which all do.
+        0, in which all do. For steps (t, 1), an array (t, n_beams).
         """
         periods, phases = self.schedule
         return np.asarray((step % periods == phases) | (step == 0))

@@ -197,7 +197,8 @@ def job_of(
     angles = None if options.beams is None else numbers("--beams", options.beams)
     table = _table_options(options, robot)
 
-    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), table)
+    topics = chosen_topics(options.topics)
+    recorded = read_log(log, angles, options.max_range, topics, table, options.missing)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if (
@@ -234,7 +235,7 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
         (options.metres_per_tick, options.accumulated),
         (options.range_unit, options.time_unit),
     )
-    return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
+    return TableOptions(robot, *ticks, *units, axes, columns)
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:

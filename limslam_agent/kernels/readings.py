@@ -8,6 +8,7 @@ explain them.
 import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.repeats import is_new
 from limslam_agent.kernels.tables import FARTHEST, NOTHING, TOO_FAR, TOO_NEAR
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -41,6 +42,8 @@ def sort_readings(
     highest: FloatArray,
     too_near: FloatArray,
     too_far: FloatArray,
+    moved: float,
+    repeats: FloatArray,
     readings: FloatArray,
     measured: BoolArray,
     hits: BoolArray,
@@ -49,7 +52,9 @@ def sort_readings(
 
     The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it.
     ``measured`` (b,) holds the beams that take a new measurement in this step, of which those
-    without a reading are removed. ``hits`` is set to those that show a wall.
+    without a reading are removed, and those that repeat one, as the table of ``repeats`` (b, 11)
+    says, in which the step is noted; the robot has ``moved``, m, in it. ``hits`` is set to those
+    that show a wall.
     """
     refused = 0
     for beam in range(len(values)):
@@ -57,8 +62,12 @@ def sort_readings(
         is_reading = value >= 0.0
         readings[beam] = min(max(value, lowest[beam]), highest[beam]) if is_reading else math.nan
         refused += not is_reading
-        measured[beam] = measured[beam] and is_reading
-        hits[beam] = measured[beam] and too_near[beam] < readings[beam] < too_far[beam]
+        is_wall = too_near[beam] < readings[beam] < too_far[beam]
+        is_due = measured[beam]
+        measured[beam] = (
+            is_new(repeats, beam, readings[beam], is_wall, moved, is_due) and is_reading
+        )
+        hits[beam] = measured[beam] and is_wall
     return refused
 
 

@@ -16,6 +16,22 @@ RAY_X, RAY_Y, RAY_TO_X, RAY_TO_Y, RAY_LENGTH, RAY_REACH, RAY_BEAM = range(7)
 the beam. A reading of a beam that saw nothing is its longest one.
 """
 
+PREVIOUS, ROWS, MOVED, BETWEEN, UNUSED = range(5)
+"""Columns of a table of what is known of the repeats of each beam (n_beams, 11): the latest
+reading, m; the rows in which it stands so far, and how far the robot has moved in them, m; what
+came before it, as ``limslam_agent.kernels.repeats`` says; and the rows since a reading was used.
+"""
+
+CHANGES, LONG_CHANGES, LONG_ROWS, RESOLUTION, SINGLE, HOLD = range(5, 11)
+"""Further columns: how many readings of walls have changed, and how many of them stood in several
+rows, in how many; the smallest change, m, and the number of changes that are no larger; and for
+how many rows an equal reading counts as repeated: 0 for a beam that repeats none so far, and -1
+for one that never does.
+"""
+
+REPEATS = 11
+"""Number of columns of this table."""
+
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 """Steps from a cell to those that come after it: rows, columns, and the length in cells."""
 

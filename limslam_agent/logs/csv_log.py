@@ -196,8 +196,6 @@ class _Rows:
             if is_silent
             else [_reading(field) for field in readings]
         )
-        if self.options.zero_is_nothing:
-            values = [math.inf if value <= 0.0 else value for value in values]
         self.ranges.extend(
             metres * values[column]
             for metres, column in zip(self.metres, self.columns, strict=True)

@@ -62,9 +62,6 @@ class TableOptions:
         Directions of the optical axes of multi-zone sensors in the robot's frame, deg. The columns
         then hold perpendicular distances, along the axis that is nearest to the direction of the
         column. Without axes the columns hold distances along their own directions.
-    zero_is_nothing
-        Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may
-        be too near to be measured, and a negative number is no reading.
     columns
         What the columns hold, in place of the file's own header: the names that a header would
         have, in any order, and ``-`` for a column that is not used. Empty if the header of the file
@@ -83,7 +80,6 @@ class TableOptions:
     range_unit: str = "m"
     time_unit: str = "s"
     zone_axes: tuple[float, ...] = ()
-    zero_is_nothing: bool = False
     columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

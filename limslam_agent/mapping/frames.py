@@ -58,17 +58,22 @@ class Frames:
         """
         return self._present.slam
 
-    def _found(self) -> tuple[RangeSensor | None, list[bool]]:
-        """The sensor as it is known now, and whether the odometry of each robot is corrected."""
-        return self.slam.sensor, [found is not None for found in self.slam.odometry_calibrations]
+    def _found(self) -> tuple[RangeSensor | None, list[bool], list[tuple[int, ...]]]:
+        """The sensor as it is known now, whether the odometry of each robot is corrected, and which
+        of its beams repeat their readings.
+        """
+        slam = self.slam
+        is_calibrated = [found is not None for found in slam.odometry_calibrations]
+        return slam.sensor, is_calibrated, [front.repeating for front in slam.robots]
 
     def _slam_at(self, starts: FloatArray) -> LineSlam:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and
         sensor.
         """
-        sensor, is_calibrated = self._found()
+        sensor, is_calibrated, _ = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
         slam = LineSlam(self.robot, config, starts, sensor)
+        slam.know_repeats(self.slam)
         if slam.range_sensor.delay:  # it cannot find them in travel that waits
             slam.ticks = self.slam.ticks.copy()
         return slam

@@ -28,6 +28,9 @@ over the circle.
 # estimator extracts lines in the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn
 # by one radian counts like ``TURN_LENGTH``, m.
 SPACING, TURN_LENGTH = 0.10, 0.40
+# rad: no robot turns by more between two readings of a beam that it follows. Where readings are
+# missing in between, a longer turn shows no more than this.
+_LONGEST_TURN = 0.4
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
@@ -101,11 +104,13 @@ class StatusMonitor:
             0,
         )  # the latest steps, and the number of the first of them
         self._changes = SuddenChanges(robot)
-        # The reading of each beam that has not changed since, how often it was read, and the least
-        # and the largest heading since then.
-        self._turned, beams = 0.0, len(robot.beams)
-        self._steady, self._times, self._headings = (
-            np.full(beams, math.nan),
+        # The reading of each beam that has not changed since, and how often it was read. The turn
+        # of the robot since each beam was read, its sum over the readings, and the least and the
+        # largest sum since the reading changed.
+        beams = len(robot.beams)
+        self._steady, self._times = np.full(beams, math.nan), np.zeros(beams)
+        self._turn, self._turned, self._headings = (
+            np.zeros(beams),
             np.zeros(beams),
             np.zeros((2, beams)),
         )
@@ -138,21 +143,29 @@ class StatusMonitor:
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
         self._sights.append(sight)
-        self._turned += turn
-        # No wall is read with so little noise.
-        is_same = np.abs(sight.ranges - self._steady) < 0.5 * self.sensor.std
-        is_same &= (sight.ranges >= self._robot.too_far) == (self._steady >= self._robot.too_far)
-        has_changed = np.isfinite(sight.ranges) & ~is_same
-        self._steady[has_changed], self._headings[:, has_changed] = (
-            sight.ranges[has_changed],
-            self._turned,
-        )
-        self._times = np.where(has_changed, 0.0, self._times + np.isfinite(sight.ranges))
-        self._headings[0] = np.minimum(self._headings[0], self._turned)
-        self._headings[1] = np.maximum(self._headings[1], self._turned)
+        self._compare(sight.ranges, turn)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
         return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
+
+    def _compare(self, ranges: FloatArray, turn: float) -> None:
+        """Compare the readings (n_beams,), m, with those before: which beams read the same.
+
+        A step in which a beam has no reading says nothing of it.
+        """
+        is_read, too_far = np.isfinite(ranges), self._robot.too_far
+        self._turn += turn
+        self._turned += is_read * np.clip(self._turn, -_LONGEST_TURN, _LONGEST_TURN)
+        self._turn[is_read] = 0.0
+        # No wall is read with so little noise.
+        is_same = np.abs(ranges - self._steady) < 0.5 * self.sensor.std
+        is_same &= (ranges >= too_far) == (self._steady >= too_far)
+        has_changed = is_read & ~is_same
+        self._steady[has_changed] = ranges[has_changed]
+        self._headings[:, has_changed] = self._turned[has_changed]
+        self._times = np.where(has_changed, 0.0, self._times + is_read)
+        self._headings[0] = np.minimum(self._headings[0], self._turned)
+        self._headings[1] = np.maximum(self._headings[1], self._turned)
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.
