@@ -36,7 +36,7 @@ nothing was measured.
 TURN_LENGTH = 0.4
 """A turn by one radian counts as this motion, m: it moves the end of a beam by about as much."""
 
-# A log names a meaning of its missing readings if they are more than this share.
+# What missing readings mean is said if they are more than this share.
 _NOTED = 0.01
 # The largest number of 16 bits, which no sensor measures, in mm, cm and m as metres.
 _CODES = (65.535, 655.35, 65535.0)
@@ -45,7 +45,7 @@ _CODES = (65.535, 655.35, 65535.0)
 _END, _NEAR_END = 0.98, 0.85
 # Missing readings mean that nothing was seen if the odds of the readings beside them to be near the
 # end are so many times those of all readings, and that by so many standard deviations.
-_ODDS, _SIGMAS = 2.0, 4.0
+_ODDS, _SIGMAS = 2.0, 3.0
 _FEWEST = 10  # readings beside missing ones that say something
 # m: no wall comes nearer by more than this between two readings.
 _LARGEST_STEP = 0.5
@@ -181,29 +181,33 @@ def _kinds(values: FloatArray, robot: RobotSpec) -> list[_Kind]:
 
 def _decided(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:
     """What missing readings mean by the readings beside them, and that in words."""
+    meaning, reason = _meaning(kind, robot)
+    if not meaning or (meaning == kind.default == "nothing") or kind.mask.mean() < _NOTED:
+        return meaning, ""
+    text = f"{kind.mask.mean():.0%} of the readings are {kind.words}: {reason}, so they count as"
+    if meaning == "nothing":
+        return meaning, f"{text} 'nothing seen'; --missing not-measured leaves them out"
+    return meaning, f"{text} not measured; --missing nothing takes them for 'nothing seen'"
+
+
+def _meaning(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:
+    """What missing readings mean by the readings beside them, and why."""
     mask, readings = kind.mask, kind.readings
     is_known = readings > robot.too_near
     walls = readings[is_known & (readings < robot.too_far)]
     begins, ends = mask[1:] & is_known[:-1], mask[:-1] & is_known[1:]
     beside = np.concatenate((readings[:-1][begins], readings[1:][ends]))
     if len(beside) < _FEWEST or not len(walls):
-        return kind.default, ""
+        return kind.default, "no other readings of the same beams stand beside them"
     if not kind.default and np.median(beside) < float(robot.too_near.max()) + _LARGEST_STEP:
         return "", ""  # what was measured last was near
     limit = _NEAR_END * float(np.quantile(walls, _END))
     share = float((readings[is_known] > limit).mean())
     found, expected = float((beside > limit).sum()), share * len(beside)
     is_odd = found * (1.0 - share) > _ODDS * share * (len(beside) - found)
-    is_sure = found - expected > _SIGMAS * math.sqrt(expected * (1.0 - share))
-    meaning = "nothing" if is_odd and is_sure else "not-measured"
-    if mask.mean() < _NOTED:
-        return meaning, ""
-    text = f"{mask.mean():.0%} of the readings are {kind.words} and count as "
-    if meaning == "nothing":
-        reason = "'nothing seen', since they begin where the readings end near the longest range"
-        return meaning, f"{text}{reason}; --missing not-measured leaves them out"
-    reason = "not measured, since they stand beside near and far readings alike"
-    return meaning, f"{text}{reason}; --missing nothing takes them for 'nothing seen'"
+    if is_odd and found - expected > _SIGMAS * math.sqrt(expected * (1.0 - share)):
+        return "nothing", "they begin where the readings end near the longest range"
+    return "not-measured", "they stand beside near and far readings alike"
 
 
 def _repeated(
