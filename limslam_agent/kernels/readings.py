@@ -52,7 +52,7 @@ def sort_readings(
 
     The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it.
     ``measured`` (b,) holds the beams that take a new measurement in this step, of which those
-    without a reading are removed, and those that repeat one, as the table of ``repeats`` (b, 11)
+    without a reading are removed, and those that repeat one, as the table of ``repeats`` (b, 13)
     says, in which the step is noted; the robot has ``moved``, m, in it. ``hits`` is set to those
     that show a wall.
     """

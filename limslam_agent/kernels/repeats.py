@@ -16,6 +16,7 @@ import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import (
+    AT_SHORTEST,
     BETWEEN,
     CHANGES,
     HOLD,
@@ -25,6 +26,7 @@ from limslam_agent.kernels.tables import (
     PREVIOUS,
     RESOLUTION,
     ROWS,
+    SHORTEST,
     SINGLE,
     UNUSED,
 )
@@ -42,14 +44,15 @@ _BY_CHANCE = 0.05
 _FEWEST, _SIGMAS = (16, 6), (5.0, 3.0)
 # A change is one by the resolution if it is smaller than this many times the smallest one.
 _ONE_STEP = 1.5
-# Sensors are not exactly periodic: an equal reading is new after so many times the usual rows.
+# An equal reading of a sensor that is not exactly periodic is new after so many times the usual
+# number of rows.
 _LATEST = 1.5
 
 
 @compiled
 def find_hold(repeats: FloatArray, beam: int) -> None:
     """Set for how many rows an equal reading of a beam counts as repeated, if the table of
-    ``repeats`` (b, 11) says that the beam repeats its readings.
+    ``repeats`` (b, 13) says that the beam repeats its readings.
     """
     known, others = repeats[beam], 0
     for other in range(len(repeats)):
@@ -60,8 +63,11 @@ def find_hold(repeats: FloatArray, beam: int) -> None:
         return
     single = known[SINGLE] / changes
     expected = changes * min(_BY_CHANCE + 0.5 * (single + single**3), 1.0)
-    if repeated > expected + _SIGMAS[others] * math.sqrt(expected):
-        known[HOLD] = math.ceil(_LATEST * known[LONG_ROWS] / repeated)
+    if repeated <= expected + _SIGMAS[others] * math.sqrt(expected):
+        return
+    is_periodic = 2.0 * known[AT_SHORTEST] > repeated
+    usual = known[LONG_ROWS] / repeated
+    known[HOLD] = known[SHORTEST] if is_periodic else math.ceil(_LATEST * usual)
 
 
 @compiled
@@ -79,13 +85,18 @@ def _note_change(known: FloatArray, change: float) -> None:
     if rows > 1.0:
         known[LONG_CHANGES] += 1.0
         known[LONG_ROWS] += rows
+        if known[SHORTEST] == 0.0 or rows < known[SHORTEST]:
+            known[SHORTEST] = rows
+            known[AT_SHORTEST] = 0.0
+        if rows == known[SHORTEST]:
+            known[AT_SHORTEST] += 1.0
 
 
 @compiled
 def is_new(
     repeats: FloatArray, beam: int, reading: float, is_wall: bool, moved: float, is_due: bool
 ) -> bool:
-    """Whether a beam's reading, m, of a row is new, which the table of ``repeats`` (b, 11) notes.
+    """Whether a beam's reading, m, of a row is new, which the table of ``repeats`` (b, 13) notes.
 
     The robot has ``moved``, m, since the row before. A beam that is not due has no new reading.
     """
@@ -116,7 +127,7 @@ def is_new(
 @lean_entry
 def find_holds(repeats: FloatArray) -> None:
     """Set for how many rows an equal reading counts as repeated, by all rows in the table of
-    ``repeats`` (b, 11).
+    ``repeats`` (b, 13).
     """
     repeats[:, HOLD] = 0.0
     for _ in range(2):  # a beam that certainly repeats its readings makes others likely to
@@ -134,7 +145,7 @@ def mark_repeats(
     repeated: BoolArray,
 ) -> None:
     """Mark which readings (n, b), m, are ``repeated``, and note all rows in the table of
-    ``repeats`` (b, 11).
+    ``repeats`` (b, 13).
 
     ``walls`` and ``due`` say which of them show a wall, and which beams measure in a row at all;
     the robot has ``moved`` (n,), m, in each row.

@@ -17,19 +17,19 @@ the beam. A reading of a beam that saw nothing is its longest one.
 """
 
 PREVIOUS, ROWS, MOVED, BETWEEN, UNUSED = range(5)
-"""Columns of a table of what is known of the repeats of each beam (n_beams, 11): the latest
+"""Columns of a table of what is known of the repeats of each beam (n_beams, 13): the latest
 reading, m; the rows in which it stands so far, and how far the robot has moved in them, m; what
 came before it, as ``limslam_agent.kernels.repeats`` says; and the rows since a reading was used.
 """
 
-CHANGES, LONG_CHANGES, LONG_ROWS, RESOLUTION, SINGLE, HOLD = range(5, 11)
-"""Further columns: how many readings of walls have changed, and how many of them stood in several
-rows, in how many; the smallest change, m, and the number of changes that are no larger; and for
-how many rows an equal reading counts as repeated: 0 for a beam that repeats none so far, and -1
-for one that never does.
+CHANGES, RESOLUTION, SINGLE, LONG_CHANGES, LONG_ROWS, SHORTEST, AT_SHORTEST, HOLD = range(5, 13)
+"""Further columns: how many readings of walls have changed; the smallest change, m, and the number
+of changes that are no larger; how many readings stood in several rows, in how many; the least of
+these numbers of rows, and how many stood in so few; and for how many rows an equal reading counts
+as repeated: 0 for a beam that repeats none so far, and -1 for one that never does.
 """
 
-REPEATS = 11
+REPEATS = 13
 """Number of columns of this table."""
 
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))

@@ -74,7 +74,7 @@ class States(NamedTuple):
     ticks
         (n, 2): what ``core.encoder_ticks.tick_by`` has found of the encoders, m.
     repeats
-        (n, beams, 11): what ``kernels.repeats`` has found of the beams.
+        (n, beams, 13): what ``kernels.repeats`` has found of the beams.
     grid, window
         Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers
         modulo ``cells``. Row and column (n, 2) of the lowest world cell that the grid holds.

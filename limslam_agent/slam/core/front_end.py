@@ -31,7 +31,7 @@ class FrontEnd:
     hits
         New readings (n_beams,) that show a wall: not at the sensor's limits.
     repeats
-        What is known of the beams that repeat their readings (n_beams, 11), as
+        What is known of the beams that repeat their readings (n_beams, 13), as
         ``limslam_agent.kernels.tables`` names it. A repeated reading is not ``measured``.
     dropped
         Readings (n_beams,) that may have hit another robot. They are not ``measured``.
