@@ -9,7 +9,18 @@ import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.repeats import is_new
-from limslam_agent.kernels.tables import FARTHEST, NOTHING, TOO_FAR, TOO_NEAR
+from limslam_agent.kernels.tables import (
+    FARTHEST,
+    LEAST,
+    MOST,
+    NOTHING,
+    READING,
+    TIMES,
+    TOO_FAR,
+    TOO_NEAR,
+    TURN,
+    TURNED,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _SAME_WALL = 0.1
@@ -19,6 +30,7 @@ _WELL_WITHIN = 0.9
 """Share of a beam's longest range up to which a wall is not near the end of the range."""
 
 
+_LONGEST_TURN = 0.4  # rad, between two readings of a beam
 _LEAST_STD = 0.01  # m
 # How much a reading changes with the distance driven, and with the angle turned times the range:
 # standard deviations of two kinds of walls, those that face the beam and those at a grazing angle,
@@ -69,6 +81,35 @@ def sort_readings(
         )
         hits[beam] = measured[beam] and is_wall
     return refused
+
+
+@lean_entry
+def compare_with_before(
+    ranges: FloatArray, too_far: FloatArray, limit: float, turn: float, steady: FloatArray
+) -> None:
+    """Note in the table ``steady`` (6, b) which of the ranges (b,), m, are those from before,
+    within a ``limit``, m. The robot has turned by ``turn``, rad.
+
+    A beam without a reading says nothing. What the robot turns meanwhile counts up to a limit: a
+    beam may see the same distance again where it looks after the turn.
+    """
+    for beam in range(len(ranges)):
+        steady[TURN, beam] += turn
+        reading, before = ranges[beam], steady[READING, beam]
+        if math.isnan(reading):
+            continue
+        turned = min(max(steady[TURN, beam], -_LONGEST_TURN), _LONGEST_TURN)
+        steady[TURNED, beam] += turned
+        steady[TURN, beam] = 0.0
+        sees_alike = (reading >= too_far[beam]) == (before >= too_far[beam])
+        if sees_alike and abs(reading - before) < limit:
+            steady[TIMES, beam] += 1.0
+            steady[LEAST, beam] = min(steady[LEAST, beam], steady[TURNED, beam])
+            steady[MOST, beam] = max(steady[MOST, beam], steady[TURNED, beam])
+            continue
+        steady[READING, beam] = reading
+        steady[TIMES, beam] = 0.0
+        steady[LEAST, beam] = steady[MOST, beam] = steady[TURNED, beam]
 
 
 @compiled

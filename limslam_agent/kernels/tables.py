@@ -32,6 +32,15 @@ as repeated: 0 for a beam that repeats none so far, and -1 for one that never do
 REPEATS = 13
 """Number of columns of this table."""
 
+READING, TIMES, TURN, TURNED, LEAST, MOST = range(6)
+"""Rows of a table of what each beam (6, n_beams) has read without a change: the reading, m, and how
+often it was read; the turn of the robot since it was read last, and all these turns, rad; and the
+least and the largest of all turns since the reading changed, rad.
+"""
+
+STEADY = 6
+"""Number of rows of this table."""
+
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 """Steps from a cell to those that come after it: rows, columns, and the length in cells."""
 

@@ -58,13 +58,13 @@ class Frames:
         """
         return self._present.slam
 
-    def _found(self) -> tuple[RangeSensor | None, list[bool], list[tuple[int, ...]]]:
-        """The sensor as it is known now, whether the odometry of each robot is corrected, and which
-        of its beams repeat their readings.
+    def _found(self) -> tuple[RangeSensor | None, list[bool], list[list[float]]]:
+        """The sensor as it is known now, whether the odometry of each robot is corrected, and for
+        how many steps its beams repeat their readings.
         """
         slam = self.slam
         is_calibrated = [found is not None for found in slam.odometry_calibrations]
-        return slam.sensor, is_calibrated, [front.repeating for front in slam.robots]
+        return slam.sensor, is_calibrated, [front.holds for front in slam.robots]
 
     def _slam_at(self, starts: FloatArray) -> LineSlam:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.kernels.tables import LEAST, MOST, READING, STEADY, TIMES
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
 from limslam_agent.status.rays import STEPS, Sight, rays_of
@@ -28,9 +29,6 @@ over the circle.
 # estimator extracts lines in the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn
 # by one radian counts like ``TURN_LENGTH``, m.
 SPACING, TURN_LENGTH = 0.10, 0.40
-# rad: no robot turns by more between two readings of a beam that it follows. Where readings are
-# missing in between, a longer turn shows no more than this.
-_LONGEST_TURN = 0.4
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
@@ -104,16 +102,8 @@ class StatusMonitor:
             0,
         )  # the latest steps, and the number of the first of them
         self._changes = SuddenChanges(robot)
-        # The reading of each beam that has not changed since, and how often it was read. The turn
-        # of the robot since each beam was read, its sum over the readings, and the least and the
-        # largest sum since the reading changed.
-        beams = len(robot.beams)
-        self._steady, self._times = np.full(beams, math.nan), np.zeros(beams)
-        self._turn, self._turned, self._headings = (
-            np.zeros(beams),
-            np.zeros(beams),
-            np.zeros((2, beams)),
-        )
+        self._steady = np.zeros((STEADY, len(robot.beams)))
+        self._steady[READING] = math.nan
         self.jump, self._driven = 0.0, 0.0
         self.loss: Loss | None = None
         self.broken: int | None = None
@@ -136,6 +126,8 @@ class StatusMonitor:
         due
             Whether :meth:`check` is to be called now.
         """
+        from limslam_agent.kernels.readings import compare_with_before
+
         x, y, turn = sight.motion.tolist()
         distance = math.hypot(x, y)
         is_jump = distance > _MAX_JUMP
@@ -143,29 +135,12 @@ class StatusMonitor:
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
         self._sights.append(sight)
-        self._compare(sight.ranges, turn)
+        # No wall is read with so little noise.
+        limit = 0.5 * self.sensor.std
+        compare_with_before(sight.ranges, self._robot.too_far, limit, turn, self._steady)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
         return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
-
-    def _compare(self, ranges: FloatArray, turn: float) -> None:
-        """Compare the readings (n_beams,), m, with those before: which beams read the same.
-
-        A step in which a beam has no reading says nothing of it.
-        """
-        is_read, too_far = np.isfinite(ranges), self._robot.too_far
-        self._turn += turn
-        self._turned += is_read * np.clip(self._turn, -_LONGEST_TURN, _LONGEST_TURN)
-        self._turn[is_read] = 0.0
-        # No wall is read with so little noise.
-        is_same = np.abs(ranges - self._steady) < 0.5 * self.sensor.std
-        is_same &= (ranges >= too_far) == (self._steady >= too_far)
-        has_changed = is_read & ~is_same
-        self._steady[has_changed] = ranges[has_changed]
-        self._headings[:, has_changed] = self._turned[has_changed]
-        self._times = np.where(has_changed, 0.0, self._times + is_read)
-        self._headings[0] = np.minimum(self._headings[0], self._turned)
-        self._headings[1] = np.maximum(self._headings[1], self._turned)
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.
@@ -208,13 +183,15 @@ class StatusMonitor:
 
         There may be nothing to see all around, so a beam that sees nothing must contradict the map.
         """
-        is_steady = np.isfinite(self._steady) & (np.ptp(self._headings, axis=0) > 0.5 * math.pi)
+        steady, turned = self._steady[READING], self._steady[MOST] - self._steady[LEAST]
+        is_steady = np.isfinite(steady) & (turned > 0.5 * math.pi)
         is_steady[list(self.sensor.broken)] = False
         if is_steady.all():
             return None
         for beam in np.flatnonzero(is_steady).tolist():
-            is_stuck = self._robot.too_near[beam] < self._steady[beam] < self._robot.too_far[beam]
-            if is_stuck or (self._times[beam] > BLIND and self._contradicts(beam, present)):
+            is_stuck = self._robot.too_near[beam] < steady[beam] < self._robot.too_far[beam]
+            times = self._steady[TIMES, beam]
+            if is_stuck or (times > BLIND and self._contradicts(beam, present)):
                 return beam
         return None
 

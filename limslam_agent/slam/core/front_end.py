@@ -51,9 +51,10 @@ class FrontEnd:
         self.refused_readings = 0
 
     @property
-    def repeating(self) -> tuple[int, ...]:
-        """Numbers of the beams that are known to repeat their readings."""
-        return tuple(np.flatnonzero(self.repeats[:, HOLD] > 0.0).tolist())
+    def holds(self) -> list[float]:
+        """For how many steps an equal reading of each beam counts as repeated; 0 if it is new."""
+        found: list[float] = self.repeats[:, HOLD].tolist()
+        return found
 
     def check(self, observation: Observation) -> None:
         """Check that an observation can be accepted.
