@@ -11,8 +11,8 @@ from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.repeats import is_new
 from limslam_agent.kernels.tables import (
     FARTHEST,
-    LEAST,
-    MOST,
+    LEAST_TURNED,
+    MOST_TURNED,
     NOTHING,
     READING,
     TIMES,
@@ -104,12 +104,12 @@ def compare_with_before(
         sees_alike = (reading >= too_far[beam]) == (before >= too_far[beam])
         if sees_alike and abs(reading - before) < limit:
             steady[TIMES, beam] += 1.0
-            steady[LEAST, beam] = min(steady[LEAST, beam], steady[TURNED, beam])
-            steady[MOST, beam] = max(steady[MOST, beam], steady[TURNED, beam])
+            steady[LEAST_TURNED, beam] = min(steady[LEAST_TURNED, beam], steady[TURNED, beam])
+            steady[MOST_TURNED, beam] = max(steady[MOST_TURNED, beam], steady[TURNED, beam])
             continue
         steady[READING, beam] = reading
         steady[TIMES, beam] = 0.0
-        steady[LEAST, beam] = steady[MOST, beam] = steady[TURNED, beam]
+        steady[LEAST_TURNED, beam] = steady[MOST_TURNED, beam] = steady[TURNED, beam]
 
 
 @compiled

@@ -18,7 +18,6 @@ from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import (
     AT_SHORTEST,
     BETWEEN,
-    CHANGES,
     HOLD,
     LONG_CHANGES,
     LONG_ROWS,
@@ -29,6 +28,7 @@ from limslam_agent.kernels.tables import (
     SHORTEST,
     SINGLE,
     UNUSED,
+    WALL_CHANGES,
 )
 from limslam_env.geometry import BoolArray, FloatArray
 
@@ -58,7 +58,7 @@ def find_hold(repeats: FloatArray, beam: int) -> None:
     for other in range(len(repeats)):
         if repeats[other, HOLD] > 0.0:
             others = 1
-    changes, repeated = known[CHANGES], known[LONG_CHANGES]
+    changes, repeated = known[WALL_CHANGES], known[LONG_CHANGES]
     if changes < _FEWEST[others]:
         return
     single = known[SINGLE] / changes
@@ -79,7 +79,7 @@ def _note_change(known: FloatArray, change: float) -> None:
     if known[RESOLUTION] == 0.0 or change * _ONE_STEP < known[RESOLUTION]:
         known[RESOLUTION] = change
         known[SINGLE] = 0.0
-    known[CHANGES] += 1.0
+    known[WALL_CHANGES] += 1.0
     if change < _ONE_STEP * known[RESOLUTION]:
         known[SINGLE] += 1.0
     if rows > 1.0:

@@ -22,7 +22,9 @@ reading, m; the rows in which it stands so far, and how far the robot has moved 
 came before it, as ``limslam_agent.kernels.repeats`` says; and the rows since a reading was used.
 """
 
-CHANGES, RESOLUTION, SINGLE, LONG_CHANGES, LONG_ROWS, SHORTEST, AT_SHORTEST, HOLD = range(5, 13)
+WALL_CHANGES, RESOLUTION, SINGLE, LONG_CHANGES, LONG_ROWS, SHORTEST, AT_SHORTEST, HOLD = range(
+    5, 13
+)
 """Further columns: how many readings of walls have changed; the smallest change, m, and the number
 of changes that are no larger; how many readings stood in several rows, in how many; the least of
 these numbers of rows, and how many stood in so few; and for how many rows an equal reading counts
@@ -32,7 +34,7 @@ as repeated: 0 for a beam that repeats none so far, and -1 for one that never do
 REPEATS = 13
 """Number of columns of this table."""
 
-READING, TIMES, TURN, TURNED, LEAST, MOST = range(6)
+READING, TIMES, TURN, TURNED, LEAST_TURNED, MOST_TURNED = range(6)
 """Rows of a table of what each beam (6, n_beams) has read without a change: the reading, m, and how
 often it was read; the turn of the robot since it was read last, and all these turns, rad; and the
 least and the largest of all turns since the reading changed, rad.

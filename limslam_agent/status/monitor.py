@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import LEAST, MOST, READING, STEADY, TIMES
+from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
 from limslam_agent.status.rays import STEPS, Sight, rays_of
@@ -183,7 +183,10 @@ class StatusMonitor:
 
         There may be nothing to see all around, so a beam that sees nothing must contradict the map.
         """
-        steady, turned = self._steady[READING], self._steady[MOST] - self._steady[LEAST]
+        steady, turned = (
+            self._steady[READING],
+            self._steady[MOST_TURNED] - self._steady[LEAST_TURNED],
+        )
         is_steady = np.isfinite(steady) & (turned > 0.5 * math.pi)
         is_steady[list(self.sensor.broken)] = False
         if is_steady.all():
