@@ -74,7 +74,7 @@ ENV = {
 }
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
-    "limslam_agent.readings": {GEOMETRY},
+    "limslam_agent.readings": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.dropouts": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},

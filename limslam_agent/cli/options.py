@@ -258,6 +258,14 @@ class ReplayOptions(Bounded):
     max_range: Annotated[
         float | None, told(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")
     ] = None
+    missing: Annotated[
+        str,
+        told(
+            _LOG,
+            "What missing ranges (nan, empty, negative, 0, 65535) mean: nothing (was seen), "
+            "not-measured, or auto, what the log says.",
+        ),
+    ] = "auto"
     metres_per_tick: Annotated[
         float, told(_TABLE, "Wheel travel for each 1 in left and right, m.")
     ] = 1.0
@@ -298,14 +306,6 @@ class ReplayOptions(Bounded):
             "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.",
         ),
     ] = None
-    zero_is_nothing: Annotated[
-        bool,
-        told(
-            _TABLE,
-            "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no "
-            "reading.",
-        ),
-    ] = False
     columns: Annotated[
         str | None,
         told(

@@ -213,7 +213,8 @@ def job_of(
     angles = None if options.beams is None else numbers("--beams", options.beams)
     table = _table_options(options, robot)
 
-    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), table)
+    topics = chosen_topics(options.topics)
+    recorded = read_log(log, angles, options.max_range, topics, table, options.missing)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if (
@@ -249,7 +250,6 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
         options.range_unit,
         options.time_unit,
         axes,
-        options.zero_is_nothing,
         tuple(name.strip() for name in columns),
         options.angle_unit,
         options.position_unit,

@@ -56,7 +56,7 @@ class Recording:
 
     def __init__(self, robot: RobotSpec, hello: Hello) -> None:
         # A reading that is sent is new, whatever the sensor's period is.
-        beams = tuple(replace(beam, period=1) for beam in robot.beams)
+        beams = tuple(replace(beam, period=1, phase=0) for beam in robot.beams)
         self.robot = replace(robot, beams=beams, control_period=MM * hello.period_ms)
         self.doubled = self.late = self.implausible = 0
         self._metres = 1e-9 * hello.nm_per_tick

@@ -184,8 +184,6 @@ class _Table:
         _check_clock(time, lines)
         odometry = self._odometry(numbers)
         ranges = numbers[:, len(self.layout.places) :] * self.metres
-        if self.options.zero_is_nothing:
-            ranges[ranges <= 0.0] = np.inf
         found = (*self._notes_of_text(), *self.notes, *notes, *odometry.notes)
         columns = self._readings({Role.TIME: unit, **odometry.units})
         robot = self.options.robot
@@ -367,4 +365,4 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: 
             f"the largest range must be above the beam's shortest of {found.min_range:g} m, not "
             f"{reach:g}"
         )
-    return replace(found, max_range=reach, period=1)
+    return replace(found, max_range=reach, period=1, phase=0)

@@ -33,4 +33,4 @@ def with_believable_heading(log: RecordedLog) -> RecordedLog:
         f"the heading is not used: it turns {share:.2f} times as far as the wheels turn the robot, "
         f"so {cause}"
     )
-    return replace(log, yaw=None, notes=(*log.notes, note))
+    return replace(log, ranges=log.reported, yaw=None, notes=(*log.notes, note))

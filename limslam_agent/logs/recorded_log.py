@@ -7,7 +7,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
 from typing import IO, Any, TypeAlias, cast
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.odometry_breaks import OdometryBreak, odometry_breaks
-from limslam_agent.readings import as_readings
+from limslam_agent.readings import path_moved, settled
 from limslam_agent.safe_files import load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.geometry.numbers import LARGEST_COORDINATE
@@ -75,8 +75,8 @@ class RecordedLog:
         Times of the log (n,), s. They may step back a little.
     ranges
         (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where
-        nothing was seen, and NaN where there is no reading. They are given as the sensors report
-        them.
+        nothing was seen, and NaN where there is no reading, or none that is new. They are given as
+        the sensors report them.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
@@ -101,8 +101,14 @@ class RecordedLog:
         The motions that the odometry poses do not tell: jumps and gaps.
     columns
         How each column of a table was read, a line each.
-    negative
-        How many ranges were negative when the log was read. They are NaN in ``ranges``.
+    missing
+        What missing readings mean, one of ``limslam_agent.readings.MEANINGS``.
+    reported
+        The ranges (n, n_beams), m, as the sensors report them.
+    repeated
+        How many readings repeat another one. They are NaN in ``ranges``.
+    readings_notes
+        What was found about missing and repeated readings, a line each, for the user.
 
     Raises
     ------
@@ -123,8 +129,11 @@ class RecordedLog:
     notes: tuple[str, ...] = ()
     gaps: tuple[int, ...] = ()
     columns: tuple[str, ...] = ()
+    missing: str = "auto"
     breaks: tuple[OdometryBreak, ...] = field(init=False, default=())
-    negative: int = field(init=False, default=0)
+    reported: NDArray[Any] = field(init=False)
+    repeated: int = field(init=False)
+    readings_notes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         count, beams = self.time.size, len(self.robot.beams)
@@ -135,10 +144,6 @@ class RecordedLog:
         _check("time", self.time, (count,))
         _check("ranges", self.ranges, (count, beams), finite=False)
         _check("has_scan", self.has_scan, (count,))
-        object.__setattr__(self, "negative", int((self.ranges < 0.0).sum()))
-        readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
-        readings[~self.has_scan] = self.robot.max_ranges
-        object.__setattr__(self, "ranges", readings.astype(np.float32))
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
             if array is not None:
@@ -159,20 +164,45 @@ class RecordedLog:
                 raise ValueError(
                     f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?"
                 )
+        self._settle()
+
+    def _settle(self) -> None:
+        """Turn what the sensors report into readings."""
+        found = settled(
+            self.ranges, self.has_scan, self.robot, path_moved(self._motions()), self.missing
+        )
+        readings = np.where(self.has_scan[:, None], found.readings, self.robot.max_ranges)
+        fields = {
+            "reported": self.ranges,
+            "ranges": readings.astype(np.float32),
+            "repeated": int(found.repeated.sum()),
+            "readings_notes": found.notes,
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    def _motions(self) -> FloatArray:
+        """The motion (n, 3) of each event since the event before, in the robot's frame, m, m, rad:
+        zero after a jump of the odometry.
+        """
+        motions = np.zeros((len(self), 3))
+        if self.odometry is not None:
+            motions[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
+            motions[[each.row for each in self.breaks if each.is_jump]] = 0.0
+        elif self.wheels is not None:
+            motions[1:, 0] = self.wheels[1:].mean(axis=1)
+            motions[1:, 2] = np.diff(self.wheels[1:], axis=1)[:, 0] / self.robot.axle
+        return motions
+
+    def taken(self, missing: str) -> "RecordedLog":
+        """The same log with its missing readings taken as ``missing`` says. Raises a ValueError if
+        that is unknown.
+        """
+        return replace(self, ranges=self.reported, missing=missing)
 
     def __len__(self) -> int:
         """Number of events."""
         return self.time.size
-
-    @property
-    def _moves(self) -> FloatArray | None:
-        """Motion (n, 3) by odometry since the previous event: zero after a jump."""
-        if self.odometry is None:
-            return None
-        moves = np.zeros((len(self), 3))
-        moves[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
-        moves[[each.row for each in self.breaks if each.is_jump]] = 0.0
-        return moves
 
     @property
     def continuous_odometry(self) -> FloatArray | None:
@@ -197,11 +227,11 @@ class RecordedLog:
             at that event. It is zero at the first event and after a jump, where a robot has most
             likely stayed. An event without a scan has no ``ranges``.
         """
-        moves = self._moves
+        motions = self._motions()
         for row in range(len(self)):
             observation: Observation = {}
-            if moves is not None:
-                observation["odometry"] = moves[row].copy()
+            if self.odometry is not None:
+                observation["odometry"] = motions[row].copy()
             elif self.wheels is not None:
                 observation["wheels"] = self.wheels[row].astype(np.float32)
             if self.yaw is not None:

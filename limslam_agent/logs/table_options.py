@@ -87,9 +87,6 @@ class TableOptions:
         Directions of the optical axes of multi-zone sensors in the robot's frame, deg. The columns
         then hold perpendicular distances, along the axis that is nearest to the direction of the
         column. Without axes the columns hold distances along their own directions.
-    zero_is_nothing
-        Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may
-        be too near to be measured, and a negative number is no reading.
     columns
         What the columns hold, in place of the file's own header: the names that a header would
         have, in any order, ``-`` for a column that is not used, and ``-`` before the name of one
@@ -116,7 +113,6 @@ class TableOptions:
     range_unit: str | None = None
     time_unit: str | None = None
     zone_axes: tuple[float, ...] = ()
-    zero_is_nothing: bool = False
     columns: tuple[str, ...] = ()
     angle_unit: str | None = None
     position_unit: str | None = None

@@ -21,12 +21,10 @@ _SHORTEST_PERIOD, _LONGEST_PERIOD = (
 )  # s: median times between events beyond them are probably not in seconds
 # of the longest range: a smaller largest reading was probably cut off by the sensor itself
 _CLEARLY_BELOW = 0.85
-# Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range
-# right after a reading of something farther away, without a reason that all of them have.
+# Up to this share of readings may see nothing without a reason that all of them have.
 _BY_CHANCE = 0.01
-# Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than
-# this: otherwise the path between the rows is not known, or the sensor reports 0 where it sees
-# nothing.
+# Between two rows no wheel travels farther than this, m: otherwise the path between the rows is not
+# known.
 _LARGEST_STEP = 0.5
 _LEAST_DRIVEN = 1.0  # m of driving, below which walls cannot be expected
 # m/s: a robot that is faster on average has odometry in another unit, or times in another unit
@@ -53,12 +51,7 @@ def log_warnings(log: RecordedLog) -> list[str]:
     """
     about_clock = _about_clock(log)
     about_odometry = [] if about_clock else _about_odometry(log)
-    about_ranges = [
-        *_about_ranges(log),
-        *_about_zeros(log),
-        *_about_negatives(log),
-        *_about_beams(log),
-    ]
+    about_ranges = [*log.readings_notes, *_about_ranges(log), *_about_beams(log)]
     about_breaks = [*_about_breaks(log), *_about_gaps(log)]
     return [*log.notes, *about_clock, *about_breaks, *about_ranges, *about_odometry]
 
@@ -134,34 +127,6 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
         return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
     return []
-
-
-def _about_negatives(log: RecordedLog) -> list[str]:
-    share = log.negative / max(log.ranges.size, 1)
-    if share <= _BY_CHANCE:
-        return []
-    text = (
-        f"{share:.0%} of the readings are negative and were skipped: if the sensors report them "
-        "where they see"
-    )
-    return [f"{text} nothing, --zero-is-nothing reads them in a table as that"]
-
-
-def _about_zeros(log: RecordedLog) -> list[str]:
-    readings, nearest = log.ranges[log.has_scan].astype(np.float64), log.robot.too_near
-    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + _LARGEST_STEP)
-    share = float(sudden.mean()) if sudden.size else 0.0
-    if share <= _BY_CHANCE:
-        return []
-    text = (
-        f"{share:.1%} of the readings jump from more than {_LARGEST_STEP:g} m to the beam's "
-        "shortest range or to 0"
-    )
-    remedy = (
-        "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be "
-        "changed"
-    )
-    return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
 
 def _about_beams(log: RecordedLog) -> list[str]:

@@ -358,8 +358,17 @@ class ConsistentEstimator(Estimator):
         due to it.
         """
         if self.is_renewable:
-            broken = (*self.sensor.broken, beam)
-            self.assume(self._specified._replace(delay=self.sensor.delay, broken=broken))
+            self._forget_sensor_but((*self.sensor.broken, beam))
+
+    def forget_sensor(self) -> None:
+        """Take the sensor to be as specified again, apart from what is known of broken and late
+        beams.
+        """
+        if self.is_renewable:
+            self._forget_sensor_but(self.sensor.broken)
+
+    def _forget_sensor_but(self, broken: tuple[int, ...]) -> None:
+        self.assume(self._specified._replace(delay=self.sensor.delay, broken=broken))
 
     def _check_renewable(self) -> None:
         if not self.is_renewable:

@@ -93,7 +93,7 @@ class Estimator:
         self.increments = [motion.increment for motion in motions]
         for number, (front, observation) in enumerate(zip(self.robots, observations, strict=True)):
             motions[number] = self._jittering(number, motions[number], observation)
-            front.accept(observation)
+            front.accept(observation, motions[number].increment)
             front.leave_out(self.range_sensor.broken)
             self._predict(number, motions[number], by_wheels="wheels" in observation)
         if len(self.robots) > 1:
@@ -227,10 +227,18 @@ class Estimator:
         SLAM.
         """
         self.ticks[: len(other.ticks)] = other.ticks
+        self.know_repeats(other)
         if other.sensor is not None and other.sensor != self.sensor:
             self.assume(other.sensor)
         if any(found is not None for found in other.odometry_calibrations):
             self.calibrate()
+
+    def know_repeats(self, other: "Estimator") -> None:
+        """Use each reading once, as far as another SLAM of the same robots has found which beams
+        repeat theirs.
+        """
+        for front, known in zip(self.robots, other.robots, strict=False):
+            front.know_repeats(known)
 
     def calibrate(self, found: tuple[Calibration, FloatArray] | None = None) -> None:
         """Correct the odometry from now on, if it can be, by what the readings so far say of its
@@ -269,6 +277,11 @@ class Estimator:
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the estimate for what was
         assumed before.
+        """
+
+    def forget_sensor(self) -> None:
+        """Take the sensor to be as specified again, since what was found about it may be due to
+        readings that should not have been used. Only what is known of broken and late beams stays.
         """
 
     def correct_delay(self) -> None:

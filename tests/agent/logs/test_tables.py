@@ -379,7 +379,7 @@ def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
     path = write(WHEELS + "0,0,0,0,1,0\n0.1,0.01,0.01,1,0.0,inf\n")
     near = read_log(path, table=TableOptions(ROBOT))
     np.testing.assert_allclose(near.ranges, [[0.05, 1.0, 0.05], [1.0, 0.05, 2.0]])
-    nothing = read_log(path, table=TableOptions(ROBOT, zero_is_nothing=True))
+    nothing = read_log(path, table=TableOptions(ROBOT), missing="nothing")
     np.testing.assert_allclose(nothing.ranges, [[2.0, 1.0, 2.0], [1.0, 2.0, 2.0]])
 
 

@@ -12,7 +12,6 @@ from support.drives import ROBOT, along, drive, room
 
 from limslam_agent import preset, read_log, replay_log
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
 
 
@@ -39,25 +38,28 @@ def test_ranges_in_millimetres_are_noticed(tmp_path):
     )
 
 
-def test_readings_that_jump_to_0_are_noticed(tmp_path):
+def test_readings_that_jump_to_0_saw_nothing(tmp_path):
     path = written(tmp_path, "0.8", "2.9")
     lines = path.read_text(encoding="utf-8").splitlines()
-    for row in range(5, 60, 10):
+    for row in range(5, 60, 8):
         lines[row] = lines[row].replace("2.9", "0")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith(
-        "5.1% of the readings jump from more than 0.5 m to the beam's shortest range or to 0"
+    assert warning == (
+        "6% of the readings are 0: they begin where the readings end near the longest range, so "
+        "they count as 'nothing seen'; --missing not-measured leaves them out"
     )
-    assert "--zero-is-nothing reads a table so, other logs have to be changed" in warning
-    assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
+    told = read_log(path, missing="nothing")
+    assert log_warnings(told) == []
+    np.testing.assert_array_equal(told.ranges, read_log(path).ranges)
 
 
-def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
+def test_of_a_beam_that_is_always_missing_nothing_is_known(tmp_path):
     path = written(tmp_path, "2.9", "-1")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith("50% of the readings are negative and were skipped")
-    whole = read_log(path, table=TableOptions(zero_is_nothing=True))
+    assert warning.startswith("50% of the readings are missing (nan, empty or negative): no other")
+    assert warning.endswith("--missing nothing takes them for 'nothing seen'")
+    whole = read_log(path, missing="nothing")
     assert log_warnings(whole) == []
     np.testing.assert_array_equal(whole.ranges, read_log(written(tmp_path, "2.9", "inf")).ranges)
 
