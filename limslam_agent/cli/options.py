@@ -238,6 +238,10 @@ class ReplayOptions(Bounded):
         bool,
         told(_TABLE, "The columns left and right count from the start, not from the row before."),
     ] = False
+    axle: Annotated[
+        float | None,
+        told(_TABLE, "Distance between the wheels, m, in place of the robot's.", "that of --robot"),
+    ] = None
     range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
     time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
     zone_axes: Annotated[
@@ -263,6 +267,13 @@ class ReplayOptions(Bounded):
             "not used.",
         ),
     ] = None
+    as_read: Annotated[
+        bool,
+        told(
+            _LOG,
+            "Replay the log even if its ranges fit far better with its wheels read in another way.",
+        ),
+    ] = False
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
     map: _Map = None
