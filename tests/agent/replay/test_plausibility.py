@@ -2,6 +2,7 @@
 walls.
 """
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -137,25 +138,30 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     assert all(said in warning for warning in warnings)
 
 
-def wheel_log(change):
-    """A log of wheel travel of three rounds through a ring of corridors, with the wheels
-    changed.
-    """
+@functools.cache
+def rounds():
+    """Ranges and wheel travel of three rounds through a ring of corridors."""
     walls = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
     lap = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
     observations, _ = drive(walls, np.zeros(3), along([*lap, *lap, *lap, (0.0, 0.0)]), noise=0.01)
-    ranges, wheels = (
-        np.array([each[name] for each in observations]) for name in ("ranges", "wheels")
+    return (
+        np.array([each["ranges"] for each in observations]),
+        np.array([each["wheels"] for each in observations], dtype=float),
     )
-    count = len(observations)
+
+
+def wheel_log(change):
+    """A log of three rounds, with the wheels changed."""
+    ranges, wheels = rounds()
+    count = len(ranges)
     scans = np.ones(count, dtype=bool)
     return RecordedLog(
         ROBOT,
         0.1 * np.arange(count),
-        ranges,
+        ranges.copy(),
         scans,
         np.zeros(3),
-        wheels=wheels.astype(float) @ change,
+        wheels=wheels @ change,
     )
 
 
