@@ -213,7 +213,6 @@ def test_an_axle_that_is_wrong_by_a_third_is_named_with_the_right_one(factor):
     log = wheel_log(np.eye(2))
     found = misread(replace(log, robot=replace(log.robot, axle=factor * log.robot.axle)))
     assert found is not None
-    assert found.is_certain
     option, value = found.words.partition("--axle ")[1:]
     assert option
     assert float(value.split()[0]) == pytest.approx(ROBOT.axle, rel=0.03)
@@ -247,18 +246,18 @@ def test_a_straight_drive_along_walls_says_nothing_about_the_wheels():
     assert misread(log) is None
 
 
-def written_wheels(path, log):
-    """A table of a wheel log in metres, for each step."""
+def written_wheels(path, log, rows=None):
+    """A table of the first rows of a wheel log in metres, for each step."""
     names = [f"r_{angle:g}" for angle in np.round(np.degrees(log.robot.beam_angles), 1)]
     columns = np.column_stack((log.time, log.wheels, log.ranges))
     header = ",".join(["t", "left", "right", *names])
-    np.savetxt(path, columns, "%.4f", ",", header=header, comments="")
+    np.savetxt(path, columns[:rows], "%.4f", ",", header=header, comments="")
     return path
 
 
 def test_the_command_stops_at_wheels_that_are_certainly_misread(tmp_path):
-    path = written_wheels(tmp_path / "log.csv", wheel_log(np.diag([1.0, -1.0])))
-    command = ("replay", path, "--robot", "paper", "--preset", "odometry", "--noise", "0.01")
+    path = written_wheels(tmp_path / "log.csv", wheel_log(np.diag([1.0, -1.0])), 450)
+    command = ("replay", path, "--robot", "paper", "--preset", "paper", "--noise", "0.01")
     message = refused(*command, "--out", tmp_path / "out")
     assert message.startswith(f"{path}: the ranges fit the wheels far better if the right wheel")
     assert not (tmp_path / "out").exists()
@@ -273,9 +272,10 @@ def test_the_named_axle_mends_a_table(tmp_path):
     robot.write_text(f"radius = {ROBOT.radius}\naxle = {1.5 * ROBOT.axle}\n", encoding="utf-8")
     path = written_wheels(tmp_path / "log.csv", log)
     command = ("replay", path, "--robot", robot, "--preset", "odometry", "--noise", "0.01")
-    assert "--axle" in refused(*command, "--out", tmp_path / "out")
-    mended = (*command, "--axle", ROBOT.axle, "--out", tmp_path / "out")
-    assert limslam(*mended).returncode == 0
+    assert "--axle 0.16" in limslam(*command, "--out", tmp_path / "wrong").stderr
+    mended = limslam(*command, "--axle", ROBOT.axle, "--out", tmp_path / "mended")
+    assert mended.returncode == 0
+    assert "--axle" not in mended.stderr
     assert refused("replay", path, "--axle", "0.1").startswith("--axle changes the robot")
     assert refused(*command, "--axle", "-1").startswith("--axle: ")
 
