@@ -438,7 +438,7 @@ def test_importing_the_agent_loads_no_simulator():
         *PLACES["limslam_agent.two_logs"],
         *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = ("misreading", "smoothing", "trust")
+    replay = ("smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

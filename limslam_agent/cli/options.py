@@ -273,6 +273,10 @@ class ReplayOptions(Bounded):
         bool,
         told(_TABLE, "The columns left and right count from the start, not from the row before."),
     ] = False
+    axle: Annotated[
+        float | None,
+        told(_TABLE, "Distance between the wheels, m, in place of the robot's.", "that of --robot"),
+    ] = None
     range_unit: Annotated[
         str | None, told(_TABLE, "Unit of the ranges: m, cm or mm.", "that of their names, or m")
     ] = None
@@ -316,6 +320,13 @@ class ReplayOptions(Bounded):
     ] = None
     dry_run: Annotated[
         bool, told(_LOG, "Say how the log is read, with its first rows, and stop.")
+    ] = False
+    as_read: Annotated[
+        bool,
+        told(
+            _LOG,
+            "Replay the log even if its ranges fit far better with its wheels read in another way.",
+        ),
     ] = False
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET

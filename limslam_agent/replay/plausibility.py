@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.odometry_breaks import breaks_in_words, odometry_breaks
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.replay.misreading import Misreading
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 
@@ -45,12 +45,16 @@ _LEAST_SPREAD = (
 )
 
 
-def log_warnings(log: RecordedLog) -> list[str]:
+def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each
     finding.
+
+    ``misreading`` is what `limslam_agent.replay.misreading.misread` has found.
     """
     about_clock = _about_clock(log)
     about_odometry = [] if about_clock else _about_odometry(log)
+    if misreading is not None and not (about_clock or about_odometry):
+        about_odometry = [misreading.words]
     about_ranges = [*log.readings_notes, *_about_ranges(log), *_about_beams(log)]
     about_breaks = [*_about_breaks(log), *_about_gaps(log)]
     return [*log.notes, *about_clock, *about_breaks, *about_ranges, *about_odometry]
@@ -90,7 +94,8 @@ def _about_breaks(log: RecordedLog) -> list[str]:
 def _about_gaps(log: RecordedLog) -> list[str]:
     if log.wheels is None:
         return []
-    path = _path(log.wheels, log.robot.axle)
+    start = np.zeros(3)
+    path = np.vstack((start, se2.driven(log.wheels[1:], log.robot.axle, start)))
     lost = [each for each in odometry_breaks(log.time, path) if not each.is_jump]
     remedy = "counters, with --accumulated, count on while rows are missing"
     found = [f"{breaks_in_words(lost)}; {remedy}"] if lost else []
@@ -189,7 +194,7 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     if per_metre > _MOST_TURNS and _alignment(odometry) < _LEAST_ALIGNED:
         turns = f"by odometry the robot turns by {per_metre:.1f} rad on each metre"
         return [f"{turns}: is its heading in radians?"]
-    return _misread(log, odometry)
+    return []
 
 
 def _alignment(odometry: FloatArray) -> float:
@@ -229,23 +234,7 @@ def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
         travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
         question = f"is its encoder connected, and is {still} its column?"
         return [f"the {still} wheel never moves, {travel}: {question}"]
-    return _misread(log, _path(wheels, log.robot.axle), by_wheels=True)
-
-
-def _path(wheels: FloatArray, axle: float) -> FloatArray:
-    """The poses (n, 3) by wheel travel (n, 2), m, alone. What was travelled before the first row
-    says nothing.
-    """
-    start = np.zeros(3)
-    return np.vstack((start, se2.driven(wheels[1:], axle, start)))
-
-
-def _misread(log: RecordedLog, odometry: FloatArray, *, by_wheels: bool = False) -> list[str]:
-    from limslam_agent.replay.misreading import misread
-    from limslam_agent.replay.smoothing import log_data
-
-    found = misread(log_data(log, odometry, 0.0), GraphConfig(), by_wheels=by_wheels)
-    return [found] if found else []
+    return []
 
 
 def _spread(log: RecordedLog) -> float:
