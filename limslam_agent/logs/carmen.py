@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.logs.odometry_breaks import OdometryStream
-from limslam_agent.logs.pose_log import MIN_RANGE, check_max_range, nearest_beams, pose_log
+from limslam_agent.logs.pose_log import MIN_RANGE, check_max_range, choose_beams, pose_log
 from limslam_agent.logs.recorded_log import (
     FilePath,
     RecordedLog,
@@ -62,8 +62,8 @@ _SAME_BEAM_DEG = 0.5
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
-def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
-    """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
+def read_carmen(path: FilePath, beams_deg: Sequence[float] | None, max_range: float) -> RecordedLog:
+    """Read a CARMEN log, plain or gzip, and keep the beams in the given directions.
 
     The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines of other kinds are
     left out, and those that may have held readings or poses are counted in the notes. A FLASER has
@@ -78,8 +78,6 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
     """
     with naming(path):
         check_max_range(max_range)
-        if not len(beams_deg):
-            raise ValueError("at least one beam must be chosen")
         events = _Events(beams_deg)
         read_lines(path, events.add)
         if not events.time:
@@ -120,7 +118,7 @@ class _Events:
     lines.
     """
 
-    def __init__(self, beams_deg: Sequence[float]) -> None:
+    def __init__(self, beams_deg: Sequence[float] | None) -> None:
         self.beams_deg = beams_deg
         self.first: _Layout | None = None
         self._count = 0
@@ -208,7 +206,7 @@ class _Events:
 
     def _new_layout(self, count: int, laser: tuple[bytes, ...]) -> _Layout:
         angles, farthest = _described(count, laser) if laser else (beam_angles_deg(count), math.inf)
-        columns = nearest_beams(angles, self.beams_deg)
+        columns = choose_beams(angles, self.beams_deg)
         found = _Layout(columns, angles[columns], farthest)
         if self.first is None:
             self.first, self._count = found, count

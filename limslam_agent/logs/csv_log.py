@@ -144,7 +144,7 @@ class _Table:
             else _mounted(robot, degrees, max_range, header.source)
             for degrees in directions
         ]
-        used = choose_beams(beams, beams_deg)
+        used = choose_beams(np.degrees([each.angle for each in beams]), beams_deg)
         ranges = [layout.ranges[index] for index in used]
         columns = [header.columns[place] for place in ranges]
         units = [options.unit_of(column) or "m" for column in columns]

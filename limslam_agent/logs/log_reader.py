@@ -7,7 +7,7 @@ from pathlib import PurePath
 from limslam_agent.logs.carmen import read_carmen
 from limslam_agent.logs.csv_log import is_csv, read_csv
 from limslam_agent.logs.headings import with_believable_heading
-from limslam_agent.logs.pose_log import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
+from limslam_agent.logs.pose_log import DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import (
     ZIP_MAGIC,
     FilePath,
@@ -42,8 +42,9 @@ def read_log(
     path
         The log. A ROS 2 bag is a folder.
     beams_deg
-        Directions of the beams to keep, deg. None keeps six beams of a CARMEN log. Of other logs
-        None keeps all beams if there are at most 16. The beams of a ``log.npz`` are fixed.
+        Directions of the beams to keep, deg. None keeps all beams if there are at most 16, and
+        otherwise the beams that are nearest to six usual directions. The beams of a ``log.npz``
+        are fixed.
     max_range
         Longest reading that is used, m. 3 m by default, or the beams' own maximum where ``table``
         names a robot. The ranges of a ``log.npz`` are fixed.
@@ -104,7 +105,7 @@ def _as_reported(
     ):
         return with_believable_heading(read_csv(path, beams_deg, max_range, table))
     _refuse_options(path, table)
-    return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)
+    return read_carmen(path, beams_deg, reach)
 
 
 def _refuse_options(path: FilePath, table: TableOptions | None) -> None:

@@ -50,15 +50,19 @@ def beam(
     return SensorSpec(x, y, float(se2.wrap_angle(angle)), max(min_range, MIN_RANGE), max_range)
 
 
-def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None) -> list[int]:
-    """Indices of the beams of a log nearest to the wanted directions, deg, as :func:`nearest_beams`
-    chooses them. None takes all beams of a sparse robot, and six beams of another robot.
+def choose_beams(angles: FloatArray, beams_deg: Sequence[float] | None) -> list[int]:
+    """Indices of the beams of a log, at the angles (n,), deg, that are used.
+
+    These are the beams in the wanted directions, deg, as :func:`nearest_beams` chooses them. None
+    takes all beams of a sparse robot, and of another robot those that are nearest to
+    ``DEFAULT_BEAMS_DEG``, however far apart its beams are.
     """
-    if beams_deg is None:
-        if len(beams) <= SPARSE_BEAMS:
-            return list(range(len(beams)))
-        beams_deg = DEFAULT_BEAMS_DEG
-    return nearest_beams(np.degrees([beam.angle for beam in beams]), beams_deg)
+    if beams_deg is not None:
+        return nearest_beams(angles, beams_deg)
+    if len(angles) <= SPARSE_BEAMS:
+        return list(range(len(angles)))
+    nearest = [int(np.argmin(_mismatch(angles, wanted))) for wanted in DEFAULT_BEAMS_DEG]
+    return list(dict.fromkeys(nearest))
 
 
 def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
@@ -137,7 +141,7 @@ def check_max_range(max_range: float) -> None:
 def _nearest(angles: FloatArray, wanted: float) -> int:
     if not math.isfinite(wanted):
         raise ValueError(f"a beam angle must be a finite number, not {wanted}")
-    mismatch = np.abs((angles - wanted + 180.0) % 360.0 - 180.0)
+    mismatch = _mismatch(angles, wanted)
     index = int(np.argmin(mismatch))
     if mismatch[index] > WORST_BEAM_MISMATCH_DEG + 1e-9:
         known = ", ".join(f"{angle:g}" for angle in np.sort(np.round(angles, 1)))
@@ -148,6 +152,11 @@ def _nearest(angles: FloatArray, wanted: float) -> int:
             f"are {there} deg"
         )
     return index
+
+
+def _mismatch(angles: FloatArray, wanted: float) -> FloatArray:
+    """How far the angles (n,), deg, are from a wanted one, deg."""
+    return np.asarray(np.abs((angles - wanted + 180.0) % 360.0 - 180.0))
 
 
 def median_spacing(time: FloatArray) -> float:

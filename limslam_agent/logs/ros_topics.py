@@ -142,7 +142,7 @@ def _crazyflie(
 def _choose(sensors: list[Sensor], moves: list[Reader], beams_deg: Sequence[float] | None) -> Plan:
     offers = [(sensor, column) for sensor in sensors for column in range(len(sensor.beams))]
     beams = [sensor.beams[column] for sensor, column in offers]
-    chosen = choose_beams(beams, beams_deg)
+    chosen = choose_beams(np.degrees([each.angle for each in beams]), beams_deg)
     readers, read_order = [], []
     for sensor in sensors:
         indices = [index for index in chosen if offers[index][0] is sensor]

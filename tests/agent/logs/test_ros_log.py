@@ -72,6 +72,26 @@ def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
     assert "at least one beam" in refusal(path, ())
 
 
+@pytest.mark.parametrize(
+    ("first", "step", "count", "expected"),
+    [
+        (-170.0, 10.0, 36, [-90.0, -50.0, -20.0, 10.0, 40.0, 90.0]),
+        (-30.0, 1.0, 61, [-30.0, -15.0, 15.0, 30.0]),
+    ],
+)
+def test_a_laser_without_the_usual_directions_gives_the_nearest(
+    tmp_path, first, step, count, expected
+):
+    beams = {"angle_min": math.radians(first), "angle_increment": math.radians(step)}
+    messages = [
+        each
+        for row in range(5)
+        for each in (odometry(10 + row, 0.1 * row), scan(10 + row, [1.0] * count, **beams))
+    ]
+    found = degrees(read_log(write_bag(tmp_path, messages)))
+    np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
 def test_where_the_laser_is_mounted_comes_from_tf_static(tmp_path):
     mounts = fixed(
         ("base_link", "plate", 0.1, 0.0, math.pi / 2, 0.0), ("plate", "laser", 0.2, 0.0, 0.0, 0.0)
