@@ -47,15 +47,14 @@ def verify(
     entry: Entry,
     plans: Sequence[Plan],
     jobs: int,
+    generator: np.random.Generator,
     *,
     count: int | None = None,
-    generator: np.random.Generator | None = None,
     user: str | None = None,
 ) -> Iterator[tuple[int, list[str]]]:
     """Run ``count`` rows of a folder of results again; all if it is None.
 
-    The rows are drawn by the generator, and without one by the operating system, so that nobody
-    knows them beforehand. ``plans`` are all plans, ``jobs`` is the number of processes, and a
+    The rows are drawn by the generator, so that nobody knows them beforehand. ``plans`` are all plans, ``jobs`` is the number of processes, and a
     command has the rights of ``user``.
 
     Yields
@@ -77,8 +76,7 @@ def verify(
             f"{'has' if len(missing) == 1 else 'have'} no results, such as plan {missing[0]}: "
             "limslam arena run goes on with them"
         )
-    draw = generator or np.random.default_rng()
-    drawn = draw.choice(len(plans), min(count or len(plans), len(plans)), replace=False)
+    drawn = generator.choice(len(plans), min(count or len(plans), len(plans)), replace=False)
     jobs_again = [
         Job(entry, plans[number], versions(), commit(), user=user) for number in sorted(drawn)
     ]

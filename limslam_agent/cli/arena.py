@@ -145,8 +145,8 @@ def verify(
         found,
         all_plans,
         jobs,
+        np.random.default_rng(seed),
         count=plans,
-        generator=np.random.default_rng(seed),
         user=entry_user,
     )
     for plan, differences in rows:
