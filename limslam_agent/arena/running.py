@@ -27,7 +27,7 @@ from limslam_agent.policies.policy import Policy
 from limslam_agent.runs.actor_checks import is_policy
 from limslam_agent.runs.actors import ActorPolicy
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.policy_file import made_by_file, naming_lines_of
+from limslam_agent.runs.policy_file import is_termination, made_by_file, naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost as cost_of
 from limslam_agent.runs.results import score
@@ -40,8 +40,6 @@ Keep = Callable[[Path, Episode], dict[str, Any]]
 
 Report = Callable[[Row, int], None]
 """Called with each new row and the number of rows that exist."""
-
-_TERMINATED = 143  # exit code of a command of this project that was asked to end (SIGTERM)
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,7 @@ def run_job(job: Job) -> Row:
     except OSError:  # no space, or no permission: not the entry's failure
         raise
     except (Exception, SystemExit) as failure:
-        if isinstance(failure, SystemExit) and failure.code == _TERMINATED:
+        if is_termination(failure):
             raise
         error = (
             f"{failure}"

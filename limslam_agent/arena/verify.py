@@ -54,8 +54,8 @@ def verify(
 ) -> Iterator[tuple[int, list[str]]]:
     """Run ``count`` rows of a folder of results again; all if it is None.
 
-    The rows are drawn by the generator, so that nobody knows them beforehand. ``plans`` are all plans, ``jobs`` is the number of processes, and a
-    command has the rights of ``user``.
+    The rows are drawn by the generator, so that nobody knows them beforehand. ``plans`` are all
+    plans, ``jobs`` is the number of processes, and a command has the rights of ``user``.
 
     Yields
     ------

@@ -70,39 +70,39 @@ def run_episode(
         Makes of each observation and its time (s) the observation that the agent gets and that is
         recorded: a fault.
     """
-    world = load_world(config.world)
-    env = LimSlamParallelEnv(
-        world,
-        num_robots=config.robots,
-        robot=config.robot,
-        noise=replace(config.true_noise, sensor_noise=config.noise),
-        coverage_goal=None,
-        max_cycles=None,
-        render_mode=render_mode,
-    )
-    team = team_of(config, policies_of(config, world) if policies is None else policies)
-    clock = time.perf_counter()
     with naming_lines_of(config.policy):
+        world = load_world(config.world)
+        env = LimSlamParallelEnv(
+            world,
+            num_robots=config.robots,
+            robot=config.robot,
+            noise=replace(config.true_noise, sensor_noise=config.noise),
+            coverage_goal=None,
+            max_cycles=None,
+            render_mode=render_mode,
+        )
+        team = team_of(config, policies_of(config, world) if policies is None else policies)
+        clock = time.perf_counter()
         rows = _drive(config, env, team, watch, alter)
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return Episode(
-        config=config,
-        world=world,
-        associations=team.slam.associations,
-        closures=list(team.slam.closures),
-        calibrations=team.slam.odometry_calibrations,
-        places=team.mapper.places,
-        in_prior_map=team.mapper.prior_frame is not None,
-        snapshot=team.snapshot(),
-        coverage_grid=env.coverage_grid,
-        stop_reason=_stop_reason(config, world, team.stop_reason),
-        is_finished=team.done,
-        wall_clock=time.perf_counter() - clock,
-        is_joined=not team.mapper.is_apart,
-        sensor=team.slam.sensor,
-        beam_turns=team.slam.beam_turns,
-        **_in_one_frame(columns, team.mapper),
-    )
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        return Episode(
+            config=config,
+            world=world,
+            associations=team.slam.associations,
+            closures=list(team.slam.closures),
+            calibrations=team.slam.odometry_calibrations,
+            places=team.mapper.places,
+            in_prior_map=team.mapper.prior_frame is not None,
+            snapshot=team.snapshot(),
+            coverage_grid=env.coverage_grid,
+            stop_reason=_stop_reason(config, world, team.stop_reason),
+            is_finished=team.done,
+            wall_clock=time.perf_counter() - clock,
+            is_joined=not team.mapper.is_apart,
+            sensor=team.slam.sensor,
+            beam_turns=team.slam.beam_turns,
+            **_in_one_frame(columns, team.mapper),
+        )
 
 
 def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
