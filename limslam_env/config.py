@@ -28,6 +28,9 @@ _BOUNDS = {
     "axle_mismatch": (-0.5, 0.5),
     "slip_rate": (0.0, 1e6),
     "slip_share": (0.0, 1.0),
+    "yaw_std": (0.0, 1e3),
+    "yaw_drift": (-10.0, 10.0),
+    "yaw_resolution": (0.0, 1.0),
 }
 
 _LARGEST_REWARD = 1e6
@@ -35,7 +38,8 @@ _LARGEST_REWARD = 1e6
 
 @dataclass(frozen=True)
 class NoiseConfig:
-    """The true noise of ranges and wheels. Every number may be a range that is drawn from at reset.
+    """The true noise of ranges, wheels and the heading. Every number may be a range that is drawn
+    from at reset.
 
     Attributes
     ----------
@@ -68,6 +72,13 @@ class NoiseConfig:
         How often a wheel slips, times per metre of its travel.
     slip_share
         Part of a step's travel that is lost when it does; the encoder counts it none the less.
+    yaw_std
+        Of the heading by an inertial measurement unit, which only environments with one observe:
+        standard deviation by which it goes off in a second, rad.
+    yaw_drift
+        How fast it turns while the robot does not, rad/s.
+    yaw_resolution
+        Step in which it is given, rad; 0 is exact.
     """
 
     sensor_noise: Setting = 0.0
@@ -82,6 +93,9 @@ class NoiseConfig:
     axle_mismatch: Setting = 0.0
     slip_rate: Setting = 0.0
     slip_share: Setting = 0.5
+    yaw_std: Setting = 5e-4
+    yaw_drift: Setting = (-3e-3, 3e-3)
+    yaw_resolution: Setting = 1e-3
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

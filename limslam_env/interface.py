@@ -104,8 +104,10 @@ class SensorSpec:
     side
         The scan buffer that its points go to; ``"none"`` for beams that only avoid collisions. By
         its angle (:func:`side_of`) if left out.
-    period
-        Steps between two measurements; the last reading is repeated in between.
+    period, phase
+        Steps between two measurements, and the first step after the reset in which the beam
+        measures, below ``period``: it measures in the steps of which the remainder by ``period``
+        is ``phase``. The last reading is repeated in between. At the reset, all beams measure.
     """
 
     x: float
@@ -115,6 +117,7 @@ class SensorSpec:
     max_range: float = 1.5
     side: Side | None = None
     period: int = 1
+    phase: int = 0
 
     def __post_init__(self) -> None:
         numbers = self.x, self.y, self.angle, self.min_range, self.max_range
@@ -141,6 +144,7 @@ class SensorSpec:
         if self.side not in {"left", "right", "none"}:
             raise ValueError(f"a beam's side is left, right or none, not {self.side!r}")
         check_count("a beam's period, in steps,", self.period, MOST_STEPS)
+        check_count("a beam's phase, in steps,", self.phase, self.period - 1, least=0)
 
 
 def beams_on_rim(
@@ -275,15 +279,19 @@ class RobotSpec:
         """
         return 2.0 * self.max_wheel_speed * self.control_period
 
-    def measures(self, step: int) -> BoolArray:
+    def measures(self, step: int | IntArray) -> BoolArray:
         """Which beams (n_beams,) take a new measurement at a step; the first observation is step
-        0.
+        0, in which all do. For steps (t, 1), an array (t, n_beams).
         """
-        return np.asarray(step % self._periods == 0)
+        periods, phases = self.schedule
+        return np.asarray((step % periods == phases) | (step == 0))
 
     @cached_property
-    def _periods(self) -> IntArray:
-        return np.array([beam.period for beam in self.beams])
+    def schedule(self) -> IntArray:
+        """Period and phase of each beam (2, n_beams), steps. Read-only."""
+        schedule = np.array([(beam.period, beam.phase) for beam in self.beams]).T
+        schedule.setflags(write=False)
+        return schedule
 
     def __reduce__(self) -> tuple[type[Self], tuple[Any, ...]]:
         # A copy makes its own arrays: unpickled ones could be written to.
@@ -335,18 +343,24 @@ class NominalNoise:
         Standard deviation of a range, m.
     wheel_variance
         Variance of a wheel's reported travel, m^2 per metre of travel.
+    yaw_std
+        Standard deviation of the turn by an inertial measurement unit, rad per square root of a
+        second: its angle random walk.
     """
 
     range_std: float = 0.0
     wheel_variance: float = 2e-5
+    yaw_std: float = math.radians(0.05)
 
     def __post_init__(self) -> None:
-        for name in ("range_std", "wheel_variance"):
+        for name in ("range_std", "wheel_variance", "yaw_std"):
             check_number(f"noise ({name})", getattr(self, name), 0.0, LARGEST_NOISE)
 
 
 def largest_noise(noises: Sequence[NominalNoise]) -> NominalNoise:
     """The noise that one filter for several robots is told: the largest of each kind."""
     return NominalNoise(
-        max(one.range_std for one in noises), max(one.wheel_variance for one in noises)
+        max(one.range_std for one in noises),
+        max(one.wheel_variance for one in noises),
+        max(one.yaw_std for one in noises),
     )

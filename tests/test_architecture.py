@@ -80,7 +80,7 @@ ENV = {
 }
 ESTIMATORS = agent("slam.published", "slam.consistent")
 AGENT = {
-    "limslam_agent.readings": {GEOMETRY},
+    "limslam_agent.readings": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.dropouts": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
@@ -458,7 +458,7 @@ def test_importing_the_agent_loads_no_simulator():
         *PLACES["limslam_agent.two_logs"],
         *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = ("misreading", "smoothing", "trust")
+    replay = ("smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

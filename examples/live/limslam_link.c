@@ -180,8 +180,9 @@ static void put_hello(struct writer *out, const struct limslam_hello *hello) {
     end_line(out, begin);
 }
 
-size_t limslam_say(struct limslam_link *link, uint32_t now, int32_t left_ticks, int32_t right_ticks,
-                   const uint32_t *ranges, char *text, size_t size) {
+/* What is to be sent, with a heading where there is one. */
+static size_t say(struct limslam_link *link, uint32_t now, int32_t left_ticks, int32_t right_ticks,
+                  const int32_t *heading, const uint32_t *ranges, char *text, size_t size) {
     struct writer out = {text, size, 0, 0};
     if (size == 0) return 0;
     if (link->owes_hello || (!link->has_host && difference(now, link->next_hello) >= 0)) {
@@ -191,13 +192,14 @@ size_t limslam_say(struct limslam_link *link, uint32_t now, int32_t left_ticks, 
     }
     if (link->has_host) {
         const size_t begin = out.length;
-        put(&out, 'S');
+        put(&out, heading ? 'T' : 'S');
         put_number(&out, link->seq++);
         put_number(&out, now);
         put_number(&out, left_ticks);
         put_number(&out, right_ticks);
         put_number(&out, link->ack);
         put_number(&out, link->is_stopped);
+        if (heading) put_number(&out, *heading);
         for (int beam = 0; beam < link->hello->beams; beam++) {
             if (ranges[beam] > LIMSLAM_NOTHING_SEEN) put_text(&out, ",-");
             else put_number(&out, ranges[beam]);
@@ -206,4 +208,14 @@ size_t limslam_say(struct limslam_link *link, uint32_t now, int32_t left_ticks, 
     }
     text[out.length] = '\0';
     return out.length;
+}
+
+size_t limslam_say(struct limslam_link *link, uint32_t now, int32_t left_ticks, int32_t right_ticks,
+                   const uint32_t *ranges, char *text, size_t size) {
+    return say(link, now, left_ticks, right_ticks, NULL, ranges, text, size);
+}
+
+size_t limslam_say_heading(struct limslam_link *link, uint32_t now, int32_t left_ticks, int32_t right_ticks,
+                           int32_t heading, const uint32_t *ranges, char *text, size_t size) {
+    return say(link, now, left_ticks, right_ticks, &heading, ranges, text, size);
 }

@@ -21,7 +21,7 @@
 extern "C" {
 #endif
 
-#define LIMSLAM_VERSION 1
+#define LIMSLAM_VERSION 2
 #define LIMSLAM_MAX_BEAMS 64
 #define LIMSLAM_LONGEST_LINE 512     /* bytes of a line, with its end */
 #define LIMSLAM_LONGEST_TEXT 640     /* bytes of what limslam_say writes: a hello and a telemetry line */
@@ -73,6 +73,12 @@ void limslam_speeds(struct limslam_link *link, uint32_t now, int16_t *left, int1
  */
 size_t limslam_say(struct limslam_link *link, uint32_t now, int32_t left_ticks, int32_t right_ticks,
                    const uint32_t *ranges, char *text, size_t size);
+
+/* The same with the heading of an inertial measurement unit, in thousandths of a degree: counter-clockwise, from any
+ * direction, and it may count on beyond a full turn. Call limslam_say in periods without a new heading.
+ */
+size_t limslam_say_heading(struct limslam_link *link, uint32_t now, int32_t left_ticks, int32_t right_ticks,
+                           int32_t heading, const uint32_t *ranges, char *text, size_t size);
 
 /* CRC-16 with the polynomial 0x1021 and the initial value 0xFFFF. */
 uint16_t limslam_checksum(const char *text, size_t length);

@@ -25,7 +25,7 @@ import numpy as np
 from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
 from limslam_agent.live.protocol import (
     LONGEST_LINE,
-    VERSION,
+    OLDEST,
     BadLineError,
     Hello,
     Speeds,
@@ -74,9 +74,7 @@ class CommandActor:
 
     def _begin(self) -> None:
         period = round(1e3 * self._robot.control_period)
-        hello = Hello(
-            VERSION, 1, "arena", len(self._robot.beams), NM_PER_TICK, period, _WATCHDOG_MS
-        )
+        hello = Hello(OLDEST, 1, "arena", len(self._robot.beams), NM_PER_TICK, period, _WATCHDOG_MS)
         self._firmware, self._step, self._travel = Firmware(hello), 0, np.zeros(2)
         self.done = False
         self.stop_reason: str | None = None

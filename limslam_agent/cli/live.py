@@ -90,6 +90,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
             typer.echo("smoothing   and writing the map", err=True)
             result = write_session(folder.beside, session, f"live {hello.name}", reason)
             write_live_settings(folder.beside, options, config)
+    warn(list(recording.log().readings_notes))
     say(*session_lines(result), f"results     {folder.target}")
 
 

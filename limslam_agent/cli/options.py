@@ -227,6 +227,14 @@ class RunOptions(Bounded):
             "no",
         ),
     ] = False
+    imu: Annotated[
+        bool,
+        told(
+            _WORLD,
+            "Whether the robot measures its heading by an inertial measurement unit, too.",
+            "no",
+        ),
+    ] = False
     map: _Map = None
     limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
     video: Annotated[
@@ -250,6 +258,14 @@ class ReplayOptions(Bounded):
     max_range: Annotated[
         float | None, told(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")
     ] = None
+    missing: Annotated[
+        str,
+        told(
+            _LOG,
+            "What missing ranges (nan, empty, negative, 0, 65535) mean: nothing (was seen), "
+            "not-measured, or auto, what the log says.",
+        ),
+    ] = "auto"
     metres_per_tick: Annotated[
         float, told(_TABLE, "Wheel travel for each 1 in left and right, m.")
     ] = 1.0
@@ -257,8 +273,36 @@ class ReplayOptions(Bounded):
         bool,
         told(_TABLE, "The columns left and right count from the start, not from the row before."),
     ] = False
-    range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
-    time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
+    axle: Annotated[
+        float | None,
+        told(_TABLE, "Distance between the wheels, m, in place of the robot's.", "that of --robot"),
+    ] = None
+    range_unit: Annotated[
+        str | None, told(_TABLE, "Unit of the ranges: m, cm or mm.", "that of their names, or m")
+    ] = None
+    time_unit: Annotated[
+        str | None,
+        told(
+            _TABLE,
+            "Unit of the times: s, ms, us or ns.",
+            "that of the name or of the spacing, or s",
+        ),
+    ] = None
+    angle_unit: Annotated[
+        str | None,
+        told(_TABLE, "Unit of headings and turns: rad or deg.", "that of their names, or rad"),
+    ] = None
+    position_unit: Annotated[
+        str | None,
+        told(
+            _TABLE,
+            "Unit of positions and travelled distances: m, cm or mm.",
+            "that of their names, or m",
+        ),
+    ] = None
+    wheel_radius: Annotated[
+        float | None, told(_TABLE, "Radius of the wheels, m, of speeds in rad/s or rpm.", "none")
+    ] = None
     zone_axes: Annotated[
         str | None,
         told(
@@ -266,22 +310,24 @@ class ReplayOptions(Bounded):
             "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.",
         ),
     ] = None
-    zero_is_nothing: Annotated[
-        bool,
-        told(
-            _TABLE,
-            "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no "
-            "reading.",
-        ),
-    ] = False
     columns: Annotated[
         str | None,
         told(
             _TABLE,
-            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one "
-            "not used.",
+            "What the columns hold, in place of the header: t,left,right,r_90,..., with - for one "
+            "not used, and - before the name of one that counts the other way.",
         ),
     ] = None
+    dry_run: Annotated[
+        bool, told(_LOG, "Say how the log is read, with its first rows, and stop.")
+    ] = False
+    as_read: Annotated[
+        bool,
+        told(
+            _LOG,
+            "Replay the log even if its ranges fit far better with its wheels read in another way.",
+        ),
+    ] = False
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
     map: _Map = None

@@ -39,12 +39,25 @@ def replay(
     options = given.merged(ReplayOptions(), ("agent", "robot"))
     agent = replay_agent(given, options)
     warn(given.warnings(options.preset))
+    robot_of_table = _with_axle(given.replay_robot(), options.axle)
     if options.other_log is not None:
-        _carry_out_both(options, agent, given.replay_robot())
+        _carry_out_both(options, agent, robot_of_table)
         return
     if options.other_relations is not None:
         raise ValueError("--relations is given twice, which is for two logs")
-    _carry_out(options, agent, given.replay_robot())
+    _carry_out(options, agent, robot_of_table)
+
+
+def _with_axle(robot: "RobotSpec | None", axle: float | None) -> "RobotSpec | None":
+    """The robot with another axle, m, if one is given."""
+    if axle is None:
+        return robot
+    if robot is None:
+        raise ValueError("--axle changes the robot of a table, which --robot names")
+    try:
+        return replace(robot, axle=axle)
+    except ValueError as error:
+        raise ValueError(f"--axle: {error}") from None
 
 
 def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | None]:
@@ -78,13 +91,16 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     table.
     """
     from limslam_agent.places.saved_map import read_saved_map
-    from limslam_agent.replay.plausibility import log_warnings, map_warnings
+    from limslam_agent.replay.plausibility import map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
     job = job_of(options.log, options, agent, robot)
-    warn(log_warnings(job.log))
+    if options.dry_run:
+        _describe(options.log, job.log, options)
+        return
+    _check_reading(options.log, job.log, options)
     with _folder(options, f"{_stem(options.log)}-{options.preset}", len(job.log)) as (
         folder,
         advance,
@@ -108,7 +124,6 @@ def _carry_out_both(
     options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None"
 ) -> None:
     """Replay two logs, join them if they fit, write their folder, and print its summary."""
-    from limslam_agent.replay.plausibility import log_warnings
     from limslam_agent.two_logs.joining import check_logs, replay_logs
     from limslam_agent.two_logs.output import write_joint_replay
 
@@ -126,9 +141,13 @@ def _carry_out_both(
         for path, file in zip(paths, files, strict=True)
     ]
     logs = [job.log for job in jobs]
+    if options.dry_run:
+        for path, log in zip(paths, logs, strict=True):
+            _describe(path, log, options)
+        return
     check_logs(logs, agent)
-    for log in logs:
-        warn(log_warnings(log))
+    for path, log in zip(paths, logs, strict=True):
+        _check_reading(path, log, options)
     name = "-".join(map(_stem, paths))
     with _folder(options, name, sum(map(len, logs))) as (folder, advance, report):
         joint = replay_logs(logs, agent, advance, report)
@@ -140,6 +159,27 @@ def _carry_out_both(
         content = write_joint_replay(folder.beside, joint, (jobs[0].source, jobs[1].source), scores)
         write_replay_settings(folder.beside, options, agent, robot)
     _tell(content, [], folder.target, [])
+
+
+def _describe(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
+    """Print how a log was read, its first rows, and the warnings about it."""
+    from limslam_agent.logs.description import description
+    from limslam_agent.replay.misreading import misread
+    from limslam_agent.replay.plausibility import log_warnings
+
+    say(f"log         {path}", *description(log))
+    warn(log_warnings(log, misread(log, options.metres_per_tick)))
+
+
+def _check_reading(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
+    """Warn of what is unlikely about a log. Refuse it if it was certainly read in a wrong way."""
+    from limslam_agent.replay.misreading import misread
+    from limslam_agent.replay.plausibility import log_warnings
+
+    misreading = misread(log, options.metres_per_tick)
+    if misreading is not None and misreading.is_certain and not options.as_read:
+        raise ValueError(f"{path}: {misreading.words}; --as-read replays the log as it is")
+    warn(log_warnings(log, misreading))
 
 
 @contextmanager
@@ -197,7 +237,8 @@ def job_of(
     angles = None if options.beams is None else numbers("--beams", options.beams)
     table = _table_options(options, robot)
 
-    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), table)
+    topics = chosen_topics(options.topics)
+    recorded = read_log(log, angles, options.max_range, topics, table, options.missing)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if (
@@ -225,16 +266,19 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
     from limslam_agent.replay.options import numbers
 
     axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
-    columns = (
-        ()
-        if options.columns is None
-        else tuple(name.strip().lower() for name in options.columns.split(","))
+    columns = () if options.columns is None else tuple(options.columns.split(","))
+    return TableOptions(
+        robot,
+        options.metres_per_tick,
+        options.accumulated,
+        options.range_unit,
+        options.time_unit,
+        axes,
+        tuple(name.strip() for name in columns),
+        options.angle_unit,
+        options.position_unit,
+        options.wheel_radius,
     )
-    ticks, units = (
-        (options.metres_per_tick, options.accumulated),
-        (options.range_unit, options.time_unit),
-    )
-    return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from limslam_agent.cli.options import takes, told
-from limslam_agent.cli.terminal import say
+from limslam_agent.cli.terminal import say, warn
 
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
@@ -117,7 +117,7 @@ def _scores(options: ScoreOptions, robot: "RobotSpec") -> dict[str, float | int 
 
     from limslam_agent.logs.relations import read_relations, relation_errors, summary
     from limslam_agent.output.finished_run import read_walls
-    from limslam_agent.output.tum import read_tum
+    from limslam_agent.output.tum import out_of_plane, read_tum
     from limslam_agent.runs.score_files import map_scores, read_pairs, trajectory_scores
     from limslam_env.worlds.formats.loading import load_world
 
@@ -127,9 +127,12 @@ def _scores(options: ScoreOptions, robot: "RobotSpec") -> dict[str, float | int 
         pairs = read_pairs(
             options.true, options.estimated, options.covariances, options.max_difference
         )
+        warn([*out_of_plane(options.true), *out_of_plane(options.estimated)])
         motion = pairs.alignment(options.align)
         scores |= trajectory_scores(pairs.moved(motion))
     if options.estimated is not None and options.relations is not None:
+        if options.true is None:
+            warn(out_of_plane(options.estimated))
         scores |= summary(
             relation_errors(read_relations(options.relations), *read_tum(options.estimated))
         )

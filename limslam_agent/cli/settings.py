@@ -33,7 +33,7 @@ _MAX_WHEEL_STD = 1.0  # m, after 1 m
 _TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration needs
 
 # These say where results go, not how they are made.
-_OUTPUT = {"out", "force", "video", "watch"}
+_OUTPUT = {"dry_run", "out", "force", "video", "watch"}
 
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {
@@ -334,6 +334,7 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
             kidnap_at=options.kidnap_at,
             prior_map=options.map,
             unknown_starts=options.unknown_starts,
+            imu=options.imu,
         )
     except SettingsError:
         raise

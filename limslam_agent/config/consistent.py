@@ -83,8 +83,8 @@ class MergingConfig(Bounded):
 
 @dataclass(frozen=True)
 class SelfCalibrationConfig(Bounded):
-    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the
-    axle.
+    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the axle,
+    or the errors of a heading.
     """
 
     # When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``,
@@ -95,6 +95,10 @@ class SelfCalibrationConfig(Bounded):
         0.02  # Standard deviation of the difference between the two wheels, as a share
     )
     axle_std: _StdShare = 0.03  # Standard deviation of the length of the axle, as a share
+    # Of a heading sensor: standard deviations of its scale, as a share, and of its drift, rad/s.
+    # They and the size of the wheels are part of the state from the first heading on.
+    yaw_scale_std: _StdShare = 0.01
+    yaw_drift_std: NonNegative = math.radians(0.5)
 
     @property
     def covariance(self) -> FloatArray:
@@ -103,6 +107,11 @@ class SelfCalibrationConfig(Bounded):
         covariance = np.diag([both + half, both + half, self.axle_std**2])
         covariance[[0, 1], [1, 0]] = both - half
         return covariance
+
+    @property
+    def heading_covariance(self) -> FloatArray:
+        """Covariance of the size of the wheels, and of scale and drift of a heading (3, 3)."""
+        return np.diag(np.square([self.size_std, self.yaw_scale_std, self.yaw_drift_std]))
 
 
 @dataclass(frozen=True)

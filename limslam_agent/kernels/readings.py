@@ -8,7 +8,19 @@ explain them.
 import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.tables import FARTHEST, NOTHING, TOO_FAR, TOO_NEAR
+from limslam_agent.kernels.repeats import is_new
+from limslam_agent.kernels.tables import (
+    FARTHEST,
+    LEAST_TURNED,
+    MOST_TURNED,
+    NOTHING,
+    READING,
+    TIMES,
+    TOO_FAR,
+    TOO_NEAR,
+    TURN,
+    TURNED,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _SAME_WALL = 0.1
@@ -18,6 +30,7 @@ _WELL_WITHIN = 0.9
 """Share of a beam's longest range up to which a wall is not near the end of the range."""
 
 
+_LONGEST_TURN = 0.4  # rad, between two readings of a beam
 _LEAST_STD = 0.01  # m
 # How much a reading changes with the distance driven, and with the angle turned times the range:
 # standard deviations of two kinds of walls, those that face the beam and those at a grazing angle,
@@ -41,6 +54,8 @@ def sort_readings(
     highest: FloatArray,
     too_near: FloatArray,
     too_far: FloatArray,
+    moved: float,
+    repeats: FloatArray,
     readings: FloatArray,
     measured: BoolArray,
     hits: BoolArray,
@@ -49,7 +64,9 @@ def sort_readings(
 
     The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it.
     ``measured`` (b,) holds the beams that take a new measurement in this step, of which those
-    without a reading are removed. ``hits`` is set to those that show a wall.
+    without a reading are removed, and those that repeat one, as the table of ``repeats`` (b, 13)
+    says, in which the step is noted; the robot has ``moved``, m, in it. ``hits`` is set to those
+    that show a wall.
     """
     refused = 0
     for beam in range(len(values)):
@@ -57,9 +74,42 @@ def sort_readings(
         is_reading = value >= 0.0
         readings[beam] = min(max(value, lowest[beam]), highest[beam]) if is_reading else math.nan
         refused += not is_reading
-        measured[beam] = measured[beam] and is_reading
-        hits[beam] = measured[beam] and too_near[beam] < readings[beam] < too_far[beam]
+        is_wall = too_near[beam] < readings[beam] < too_far[beam]
+        is_due = measured[beam]
+        measured[beam] = (
+            is_new(repeats, beam, readings[beam], is_wall, moved, is_due) and is_reading
+        )
+        hits[beam] = measured[beam] and is_wall
     return refused
+
+
+@lean_entry
+def compare_with_before(
+    ranges: FloatArray, too_far: FloatArray, limit: float, turn: float, steady: FloatArray
+) -> None:
+    """Note in the table ``steady`` (6, b) which of the ranges (b,), m, are those from before,
+    within a ``limit``, m. The robot has turned by ``turn``, rad.
+
+    A beam without a reading says nothing. What the robot turns meanwhile counts up to a limit: a
+    beam may see the same distance again where it looks after the turn.
+    """
+    for beam in range(len(ranges)):
+        steady[TURN, beam] += turn
+        reading, before = ranges[beam], steady[READING, beam]
+        if math.isnan(reading):
+            continue
+        turned = min(max(steady[TURN, beam], -_LONGEST_TURN), _LONGEST_TURN)
+        steady[TURNED, beam] += turned
+        steady[TURN, beam] = 0.0
+        sees_alike = (reading >= too_far[beam]) == (before >= too_far[beam])
+        if sees_alike and abs(reading - before) < limit:
+            steady[TIMES, beam] += 1.0
+            steady[LEAST_TURNED, beam] = min(steady[LEAST_TURNED, beam], steady[TURNED, beam])
+            steady[MOST_TURNED, beam] = max(steady[MOST_TURNED, beam], steady[TURNED, beam])
+            continue
+        steady[READING, beam] = reading
+        steady[TIMES, beam] = 0.0
+        steady[LEAST_TURNED, beam] = steady[MOST_TURNED, beam] = steady[TURNED, beam]
 
 
 @compiled

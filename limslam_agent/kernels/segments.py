@@ -384,39 +384,23 @@ def cut_at_bends(
         segment.
     """
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
-    block, size, count, waiting = (
-        dense_block(P, columns),
-        len(members),
-        0,
-        int(len(members) >= FEWEST),
-    )
-    segments, ends, owner, residuals = (
-        np.empty((2**DEEPEST, 7)),
-        np.empty((2, 2)),
-        np.full(size, -1),
-        np.empty(size),
-    )
+    block = dense_block(P, columns)
+    size = len(members)
+    segments, ends = np.empty((2**DEEPEST, 7)), np.empty((2, 2))
+    owner, residuals = np.full(size, -1), np.full(size, math.inf)
     along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
     # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and
     # their lines.
     parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
-    parts[0, 0], parts[0, 1], parts[0, 2], lines[0, 0], lines[0, 1] = (
-        0,
-        size,
-        DEEPEST,
-        line[0],
-        line[1],
-    )
-    residuals[:] = math.inf
+    parts[0, 0], parts[0, 1], parts[0, 2] = 0, size, DEEPEST
+    lines[0, 0], lines[0, 1] = line[0], line[1]
+    count = 0
+    waiting = int(size >= FEWEST)
     while waiting:
         waiting -= 1
-        first, number, depth, segment = (
-            parts[waiting, 0],
-            parts[waiting, 1],
-            parts[waiting, 2],
-            segments[count],
-        )
+        first, number, depth = parts[waiting, 0], parts[waiting, 1], parts[waiting, 2]
+        segment = segments[count]
         these = order[first : first + number]
         read = gathered(members, these)
         left, clear = fit_segment(

@@ -16,6 +16,33 @@ RAY_X, RAY_Y, RAY_TO_X, RAY_TO_Y, RAY_LENGTH, RAY_REACH, RAY_BEAM = range(7)
 the beam. A reading of a beam that saw nothing is its longest one.
 """
 
+PREVIOUS, ROWS, MOVED, BETWEEN, UNUSED = range(5)
+"""Columns of a table of what is known of the repeats of each beam (n_beams, 13): the latest
+reading, m; the rows in which it stands so far, and how far the robot has moved in them, m; what
+came before it, as ``limslam_agent.kernels.repeats`` says; and the rows since a reading was used.
+"""
+
+WALL_CHANGES, RESOLUTION, SINGLE, LONG_CHANGES, LONG_ROWS, SHORTEST, AT_SHORTEST, HOLD = range(
+    5, 13
+)
+"""Further columns: how many readings of walls have changed; the smallest change, m, and the number
+of changes that are no larger; how many readings stood in several rows, in how many; the least of
+these numbers of rows, and how many stood in so few; and for how many rows an equal reading counts
+as repeated: 0 for a beam that repeats none so far, and -1 for one that never does.
+"""
+
+REPEATS = 13
+"""Number of columns of this table."""
+
+READING, TIMES, TURN, TURNED, LEAST_TURNED, MOST_TURNED = range(6)
+"""Rows of a table of what each beam (6, n_beams) has read without a change: the reading, m, and how
+often it was read; the turn of the robot since it was read last, and all these turns, rad; and the
+least and the largest of all turns since the reading changed, rad.
+"""
+
+STEADY = 6
+"""Number of rows of this table."""
+
 STEPS = ((0, 1, 1.0), (1, 0, 1.0), (1, 1, 2.0**0.5), (1, -1, 2.0**0.5))
 """Steps from a cell to those that come after it: rows, columns, and the length in cells."""
 

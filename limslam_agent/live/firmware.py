@@ -87,7 +87,13 @@ class Firmware:
             self.has_host = False
         return self._left, self._right
 
-    def say(self, now: int, ticks: tuple[int, int], ranges: tuple[int | None, ...]) -> list[bytes]:
+    def say(
+        self,
+        now: int,
+        ticks: tuple[int, int],
+        ranges: tuple[int | None, ...],
+        yaw: int | None = None,
+    ) -> list[bytes]:
         """The lines to send at the time ``now``, ms, once in each period."""
         lines = []
         if self._owes_hello or (not self.has_host and difference(now, self._next_hello) >= 0):
@@ -96,7 +102,7 @@ class Firmware:
         if self.has_host:
             left, right = (difference(each % _SPAN, 0) for each in ticks)
             measured = Telemetry(
-                self._seq, now % _SPAN, left, right, self._ack, int(self._is_stopped), ranges
+                self._seq, now % _SPAN, left, right, self._ack, int(self._is_stopped), ranges, yaw
             )
             lines.append(encode(measured))
             self._seq = (self._seq + 1) % _SPAN

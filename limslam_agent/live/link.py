@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 from limslam_agent.live.protocol import (
+    OLDEST,
     VERSION,
     BadLineError,
     Command,
@@ -114,9 +115,9 @@ class Link(Connection):
 
 
 def _checked(hello: Hello) -> Hello:
-    if hello.version != VERSION:
+    if not OLDEST <= hello.version <= VERSION:
         raise NoRobotError(
             f"the robot {hello.name} speaks version {hello.version} of the protocol, and this "
-            f"program version {VERSION}"
+            f"program versions {OLDEST} to {VERSION}"
         )
     return hello

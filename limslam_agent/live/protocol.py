@@ -13,8 +13,11 @@ from typing import Annotated, Any, TypeAlias
 
 from limslam_agent.config.bounds import Bounds, bounds_of
 
-VERSION = 1
-"""Version of the protocol. Robot and host must speak the same version."""
+VERSION = 2
+"""Version of the protocol."""
+
+OLDEST = 1
+"""The oldest version that a robot may speak. Its telemetry has no headings."""
 
 MAX_BEAMS = 64
 LONGEST_LINE = 512
@@ -59,7 +62,9 @@ class Hello:
 
 @dataclass(frozen=True)
 class Telemetry:
-    """``S``, robot to host: what the robot has measured."""
+    """``S``, or ``T`` with a heading before the ranges, robot to host: what the robot has
+    measured.
+    """
 
     seq: _U32  # one more in each line
     time_ms: _U32  # clock of the robot at the measurement, ms
@@ -74,6 +79,9 @@ class Telemetry:
     # Reading of each beam, mm. None where there is no new reading, ``NOTHING_SEEN`` where nothing
     # was seen.
     ranges: tuple[int | None, ...]
+    # Heading by an inertial measurement unit, thousandths of a degree, counter-clockwise from any
+    # direction, that may count on beyond a full turn. None where there is no new reading.
+    yaw: int | None = None
 
 
 @dataclass(frozen=True)
@@ -125,8 +133,10 @@ _KINDS: dict[str, type[Message]] = {
 }
 _LETTERS = {kind: letter for letter, kind in _KINDS.items()}
 _FIELDS = {
-    kind: [field.name for field in fields(kind) if field.name != "ranges"] for kind in _LETTERS
+    kind: [field.name for field in fields(kind) if field.name not in {"ranges", "yaw"}]
+    for kind in _LETTERS
 }
+_WITH_HEADING = "T"
 
 
 def encode(message: Message) -> bytes:
@@ -135,9 +145,13 @@ def encode(message: Message) -> bytes:
     """
     kind = type(message)
     words = [_LETTERS[kind], *(str(getattr(message, name)) for name in _FIELDS[kind])]
+    has_heading = isinstance(message, Telemetry) and message.yaw is not None
     if isinstance(message, Telemetry):
+        if has_heading:
+            words[0] = _WITH_HEADING
+            words.append(str(message.yaw))
         words += [NO_READING if each is None else str(each) for each in message.ranges]
-    _read(kind, words[1:])
+    _read(kind, words[1:], has_heading=has_heading)
     body = ",".join(words).encode("ascii")
     return b"%s*%04X\n" % (body, checksum(body))
 
@@ -151,14 +165,17 @@ def decode(line: bytes) -> Message:
     if len(line) >= LONGEST_LINE or not asterisk or check != b"%04X" % checksum(body):
         raise BadLineError("the checksum is wrong")
     letter, *words = body.decode("latin-1").split(",")
+    if letter == _WITH_HEADING:
+        return _read(Telemetry, words, has_heading=True)
     if letter not in _KINDS:
         raise BadLineError(f"there is no message {letter!r}")
     return _read(_KINDS[letter], words)
 
 
-def _read(kind: type[Message], words: list[str]) -> Message:
+def _read(kind: type[Message], words: list[str], *, has_heading: bool = False) -> Message:
     """The message of a kind from the words of its line."""
-    names, count = _FIELDS[kind], len(words) - len(_FIELDS[kind])
+    names = [*_FIELDS[kind], "yaw"] if has_heading else _FIELDS[kind]
+    count = len(words) - len(names)
     if not (1 <= count <= MAX_BEAMS if kind is Telemetry else count == 0):
         raise BadLineError(
             f"a message {_LETTERS[kind]} has {len(names)} fields; telemetry has 1 to {MAX_BEAMS} "
@@ -178,6 +195,8 @@ def _read(kind: type[Message], words: list[str]) -> Message:
         )
     if any(each is not None and not 0 <= each <= NOTHING_SEEN for each in values.get("ranges", ())):
         raise BadLineError(f"a range is not a number from 0 to {NOTHING_SEEN}")
+    if abs(values.get("yaw", 0)) >= _SPAN // 2:
+        raise BadLineError("a heading has 32 bits with a sign")
     try:
         for name, bounds in bounds_of(kind):  # type: ignore[arg-type] # mypy takes a class for its object
             bounds.check(name, values[name])

@@ -37,6 +37,7 @@ class Row(NamedTuple):
     # Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was
     # seen.
     ranges: FloatArray
+    yaw: float = math.nan  # Heading, rad. NaN where there is no new reading.
     is_late: bool = False  # Whether a later measurement had already arrived
 
 
@@ -55,7 +56,7 @@ class Recording:
 
     def __init__(self, robot: RobotSpec, hello: Hello) -> None:
         # A reading that is sent is new, whatever the sensor's period is.
-        beams = tuple(replace(beam, period=1) for beam in robot.beams)
+        beams = tuple(replace(beam, period=1, phase=0) for beam in robot.beams)
         self.robot = replace(robot, beams=beams, control_period=MM * hello.period_ms)
         self.doubled = self.late = self.implausible = 0
         self._metres = 1e-9 * hello.nm_per_tick
@@ -125,7 +126,10 @@ class Recording:
             if before is None
             else np.array([row.left - before.left, row.right - before.right])
         )
-        return {"ranges": row.ranges, "wheels": wheels}
+        observation: Observation = {"ranges": row.ranges, "wheels": wheels}
+        if not math.isnan(row.yaw):
+            observation["yaw"] = row.yaw
+        return observation
 
     def note_action(self, row: Row, action: FloatArray) -> None:
         """Record the answer (2,) to a row, as fractions of the largest wheel speed."""
@@ -142,8 +146,14 @@ class Recording:
             np.array([row.ranges for row in rows]),
         )
         wheels = np.diff(travel, axis=0, prepend=travel[:1])
+        yaw = np.array([row.yaw for row in rows])
         return RecordedLog(
-            self.robot, times, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels
+            self.robot,
+            times,
+            ranges,
+            np.ones(len(rows), dtype=np.bool_),
+            wheels=wheels,
+            yaw=None if np.isnan(yaw).all() else yaw,
         )
 
     def save(self, path: Path) -> None:
@@ -162,6 +172,7 @@ class Recording:
                 wheels=log.wheels,
                 action=actions,
                 start_pose=log.start_pose,
+                **({} if log.yaw is None else {"yaw": log.yaw}),
             )
 
     def _sorted(self) -> list[Row]:
@@ -173,12 +184,13 @@ class Recording:
             self.implausible += 1
             return None
         ranges = np.array([_metres(each) for each in packet.ranges])
+        yaw = math.nan if packet.yaw is None else math.radians(1e-3 * packet.yaw)
         if self._origin is None:
             last = self.newest
             if last is None:
-                return Row(0, 0.0, 0.0, 0.0, ranges)
+                return Row(0, 0.0, 0.0, 0.0, ranges, yaw)
             after = last.time + max(gap, self.robot.control_period)
-            return Row(last.number + 1, after, last.left, last.right, ranges)
+            return Row(last.number + 1, after, last.left, last.right, ranges, yaw)
         before, row = self._origin
         steps = difference(packet.seq, before.seq)
         return Row(
@@ -187,6 +199,7 @@ class Recording:
             row.left + self._metres * difference(packet.left, before.left),
             row.right + self._metres * difference(packet.right, before.right),
             ranges,
+            yaw,
             is_late=steps < 0,
         )
 

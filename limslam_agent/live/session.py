@@ -12,7 +12,6 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.live.link import POLL, Connection
 from limslam_agent.live.protocol import (
-    VERSION,
     Command,
     Heartbeat,
     Hello,
@@ -214,7 +213,7 @@ class Session:
     def _is_restart(self, hello: Hello) -> bool:
         """Whether the robot was switched on again."""
         is_same_robot = (hello.version, hello.beams, hello.name) == (
-            VERSION,
+            self._hello.version,
             self._hello.beams,
             self._hello.name,
         )

@@ -4,32 +4,39 @@ sparse robot.
 These lines are used. The odometry is the *second* pose of a scan::
 
     FLASER n r_1 .. r_n  x y theta  odom_x odom_y odom_theta  ipc_time host logger_time
+    ROBOTLASER1 laser n r_1 .. r_n m i_1 .. i_m  x y theta  odom_x odom_y odom_theta
+        tv rv forward side turn  ipc_time host logger_time
+    RAWLASER1 laser n r_1 .. r_n m i_1 .. i_m  ipc_time host logger_time
     ODOM x y theta tv rv accel  ipc_time host logger_time
+
+where ``laser`` is ``type start_angle field_of_view angular_resolution maximum_range accuracy
+remission_mode`` and ``i`` are remissions. RAWLASER1 is used where no scan has a pose. Its pose is
+that of the ODOM lines at its time.
 """
 
+import math
+import re
 from array import array
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.logs.pose_log import (
-    BODY_RADIUS,
-    MIN_RANGE,
-    check_max_range,
-    median_spacing,
-    nearest_beams,
-)
+from limslam_agent.logs.odometry_breaks import OdometryStream
+from limslam_agent.logs.pose_log import MIN_RANGE, check_max_range, nearest_beams, pose_log
 from limslam_agent.logs.recorded_log import (
     FilePath,
     RecordedLog,
+    check_beams,
     is_number,
     naming,
     parse_number,
     parse_range,
     read_lines,
 )
-from limslam_env.geometry import FloatArray, se2
-from limslam_env.interface import RobotSpec, SensorSpec, side_of
+from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.interface import SensorSpec, side_of
 from limslam_env.messages import counted
 
 # Most of these logs come from SICK lasers. Their largest readings, 8183 to 8191 counts of 1 mm or 1
@@ -39,9 +46,17 @@ _SICK_UNITS = (0.001, 0.01)
 
 _FIRST_TIMES, _LONGEST_STEP = 10, 60.0  # s between the first times of a clock that begins below 0
 
-_SCAN, _ODOMETRY = _KINDS = b"FLASER", b"ODOM"
-_SCAN_TAIL = 9
+_FLASER, _ROBOTLASER, _RAWLASER, _ODOM = b"FLASER", b"ROBOTLASER1", b"RAWLASER1", b"ODOM"
+_KINDS = _FLASER, _ROBOTLASER, _RAWLASER, _ODOM
 _ODOM_FIELDS = 10
+_LASER_FIELDS = 7  # between the kind of a line and its number of beams, where the line describes it
+# Number of fields after the readings, and which of them is the time
+_TAILS = {_FLASER: (9, 6), _ROBOTLASER: (14, 11), _RAWLASER: (3, 0)}
+# Lines of these kinds say nothing that a map needs.
+_HARMLESS = {b"PARAM", b"SYNC", b"TRUEPOS", b"MARKER", b"MESSAGE"}
+_KIND = re.compile(rb"[A-Z][A-Z0-9_]{1,30}")
+_MOST_KINDS, _MOST_NAMED = 100, 6
+_SAME_BEAM_DEG = 0.5
 # If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the
 # mount of the laser but the result of a mapping program.
 _STEADY = np.array([0.05, 0.05, 0.035])
@@ -50,8 +65,9 @@ _STEADY = np.array([0.05, 0.05, 0.035])
 def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
-    The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines other than ODOM and
-    FLASER are skipped. Scans have 180, 181, 360 or 361 beams over 180 degrees.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines of other kinds are
+    left out, and those that may have held readings or poses are counted in the notes. A FLASER has
+    180, 181, 360 or 361 beams over 180 degrees; the other scans describe their beams.
 
     There is one event for each line, in the order of the file, at the line's ``ipc_time``. The
     frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary and
@@ -71,7 +87,8 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
             table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"
             raise ValueError(f"has no odometry: no ODOM or FLASER line of CARMEN, {table}")
         if not events.ranges:
-            raise ValueError("has no scan: there is no FLASER line")
+            none = "has no scan: there is no FLASER, ROBOTLASER1 or RAWLASER1 line"
+            raise ValueError("; ".join(filter(None, (none, events.others))))
         return _as_log(events, max_range)
 
 
@@ -82,8 +99,20 @@ def beam_angles_deg(count: int) -> FloatArray:
     of beams is unknown.
     """
     if count not in (180, 181, 360, 361):
-        raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")
+        raise ValueError(
+            f"a FLASER of {count} beams: only 180, 181, 360 and 361 beams over 180 deg are known, "
+            "and ROBOTLASER1 describes others"
+        )
     return -90.0 + np.arange(count, dtype=np.float64) * (180.0 / (count - count % 2))
+
+
+@dataclass(frozen=True, eq=False)
+class _Layout:
+    """Where a kind of scan has the chosen beams."""
+
+    columns: list[int]  # numbers of the beams
+    angles: FloatArray  # their directions (n_beams,), deg
+    farthest: float  # readings from here on saw nothing, m
 
 
 class _Events:
@@ -93,99 +122,186 @@ class _Events:
 
     def __init__(self, beams_deg: Sequence[float]) -> None:
         self.beams_deg = beams_deg
-        self.beam_count = 0
-        self.columns: list[int] = []
+        self.first: _Layout | None = None
+        self._count = 0
+        self._layouts = dict[tuple[bytes, ...], _Layout]()
+        self._left_out = Counter[bytes]()
         self.time = array("d")
         self.odometry = array("d")
         self.laser = array("d")
         self.ranges = array("d")
-        self.has_scan = bytearray()
+        self.kinds = bytearray()  # of each event, as an index into ``_KINDS``
 
     def add(self, line: bytes) -> None:
         """Process one line. The file ends within a line without a newline."""
         fields = line.split()
         kind = fields[0] if fields else b""
-        if kind == _SCAN:
-            self._add_scan(fields)
-        elif kind == _ODOMETRY:
+        if kind == _ODOM:
             self._add_odometry(fields)
+        elif kind in _TAILS:
+            self._add_scan(kind, fields)
         elif (
             not line.endswith(b"\n")
             and len(fields) == 1
             and any(each.startswith(kind) for each in _KINDS)
         ):
             raise ValueError("the line stops within its first word")
+        elif kind not in _HARMLESS and _KIND.fullmatch(kind):
+            # A text that is no log may have a kind of its own in each line.
+            known = kind in self._left_out or len(self._left_out) < _MOST_KINDS
+            self._left_out[kind if known else b"others"] += 1
 
-    def _add_scan(self, fields: list[bytes]) -> None:
-        count = self._beams_in(fields)
-        tail = fields[2 + count :]
-        if len(tail) != _SCAN_TAIL:
-            self._refuse_scan(fields, count)
-        values = [parse_range(fields[column], f"range {column - 1}") for column in self.columns]
-        laser = [parse_number(field, "the laser's pose") for field in tail[:3]]
-        self._add_event(tail[3:6], tail[6], has_scan=True)
+    @property
+    def others(self) -> str:
+        """The kinds of lines that were left out, and how many there are. Empty if there are
+        none.
+        """
+        most = self._left_out.most_common(_MOST_NAMED)
+        named = ", ".join(f"{number} {kind.decode('ascii')}" for kind, number in most)
+        more = ", ..." if len(self._left_out) > _MOST_NAMED else ""
+        return f"lines of kinds that are not read were left out: {named}{more}" if named else ""
+
+    def _add_scan(self, kind: bytes, fields: list[bytes]) -> None:
+        begin = 1 if kind == _FLASER else 1 + _LASER_FIELDS
+        text = fields[begin] if len(fields) > begin else b""
+        if not text.isdigit():
+            raise ValueError(f"{kind.decode()} is not followed by the number of beams")
+        count = int(text[:9])
+        check_beams(count)
+        layout = self._layout(count, tuple(fields[2:begin]))
+        tail = fields[begin + 1 + count :]
+        if kind != _FLASER and tail and tail[0].isdigit():
+            tail = tail[1 + int(tail[0][:9]) :]
+        wanted, time = _TAILS[kind]
+        if len(tail) != wanted:
+            self._refuse_scan(kind, fields, count)
+        values = [
+            parse_range(fields[begin + 1 + column], f"range {column + 1}")
+            for column in layout.columns
+        ]
+        values = [math.inf if value >= layout.farthest else value for value in values]
+        laser = [parse_number(field, "the laser's pose") for field in tail[: min(time, 3)]]
+        self._add_event(kind, tail[3:6] if time else [b"0"] * 3, tail[time])
         self.ranges.extend(values)
-        self.laser.extend(laser)
+        self.laser.extend(laser or [0.0] * 3)
 
     def _add_odometry(self, fields: list[bytes]) -> None:
         if len(fields) != _ODOM_FIELDS:
             raise ValueError(f"ODOM has {len(fields)} fields where {_ODOM_FIELDS} are needed")
-        self._add_event(fields[1:4], fields[7], has_scan=False)
+        self._add_event(_ODOM, fields[1:4], fields[7])
 
-    def _add_event(self, pose: list[bytes], time: bytes, *, has_scan: bool) -> None:
+    def _add_event(self, kind: bytes, pose: list[bytes], time: bytes) -> None:
         odometry = [parse_number(field, "the odometry") for field in pose]
         seconds = parse_number(time, "the time")
         self.odometry.extend(odometry)
         self.time.append(seconds)
-        self.has_scan.append(has_scan)
+        self.kinds.append(_KINDS.index(kind))
 
-    def _beams_in(self, fields: list[bytes]) -> int:
-        """Number of beams in a line. The first scan decides which beams are used."""
-        text = fields[1] if len(fields) > 1 else b""
-        if not text.isdigit():
-            raise ValueError("FLASER is not followed by the number of beams")
-        count = int(text[:9])
-        if not self.columns:
-            self.columns = [
-                2 + beam for beam in nearest_beams(beam_angles_deg(count), self.beams_deg)
-            ]
-            self.beam_count = count
-        elif count != self.beam_count:
-            raise ValueError(f"a scan of {count} beams after scans of {self.beam_count}")
-        return count
+    def _layout(self, count: int, laser: tuple[bytes, ...]) -> _Layout:
+        """Where scans of a laser have the chosen beams. ``laser`` has the fields that describe it,
+        from the start angle on.
+        """
+        known = b"%d" % count, *laser
+        if known not in self._layouts:
+            self._layouts[known] = self._new_layout(count, laser)
+        return self._layouts[known]
 
-    def _refuse_scan(self, fields: list[bytes], count: int) -> None:
+    def _new_layout(self, count: int, laser: tuple[bytes, ...]) -> _Layout:
+        angles, farthest = _described(count, laser) if laser else (beam_angles_deg(count), math.inf)
+        columns = nearest_beams(angles, self.beams_deg)
+        found = _Layout(columns, angles[columns], farthest)
+        if self.first is None:
+            self.first, self._count = found, count
+        elif np.abs(found.angles - self.first.angles).max() > _SAME_BEAM_DEG:
+            raise ValueError(f"a scan of {count} beams after scans of {self._count}")
+        return found
+
+    def _refuse_scan(self, kind: bytes, fields: list[bytes], count: int) -> None:
         """Raise an error that says what is wrong with a scan whose number of fields is wrong."""
         tail = fields[2 + count :]
         stamped = len(tail) in (3, 6) and not is_number(tail[-2])
         bare = len(fields) >= 2 + count and not tail
-        if not self.time and (stamped or bare):
+        if kind == _FLASER and not self.time and (stamped or bare):
             raise ValueError("has no odometry: the scan comes without its poses")
+        needed = f" where {2 + count + _TAILS[kind][0]} are needed" if kind == _FLASER else ""
+        name = kind.decode()
         raise ValueError(
-            f"FLASER has {len(fields)} fields where {2 + count + _SCAN_TAIL} are needed"
+            f"{name} has {len(fields)} fields{needed or ', which is not as many as it announces'}"
         )
 
 
+def _described(count: int, laser: Sequence[bytes]) -> tuple[FloatArray, float]:
+    """Directions (count,), deg, of the beams of a laser, and its longest range, m."""
+    names = "the start angle", "the field of view", "the angular resolution", "the maximum range"
+    start, view, step, farthest = (
+        parse_number(field, name) for field, name in zip(laser, names, strict=False)
+    )
+    if not step:
+        step = view / max(count - 1, 1)
+    if not count or (count > 1 and not 0.0 < abs(step) * (count - 1) < 2.0 * math.tau):
+        raise ValueError(f"{count} beams in steps of {step:g} rad are no scan")
+    angles = np.degrees(start + step * np.arange(count, dtype=np.float64))
+    return angles, farthest if farthest > MIN_RANGE else math.inf
+
+
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
-    time, has_scan = np.array(events.time), np.frombuffer(events.has_scan, dtype=np.bool_)
+    assert events.first is not None  # noqa: S101 (there is a scan)
+    time, kinds = np.array(events.time), np.frombuffer(events.kinds, dtype=np.uint8)
+    has_scan = kinds != _KINDS.index(_ODOM)
+    is_raw = kinds == _KINDS.index(_RAWLASER)
     shifted = -float(time[0]) if _begins_below_zero(time) else 0.0
     kept = time + shifted >= 0.0
+    notes = _notes_of_times(shifted, int((~kept).sum()))
+    odometry = np.array(events.odometry).reshape(-1, 3)
+    odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
+    laser = np.zeros((len(time), 3))
+    laser[has_scan] = np.array(events.laser).reshape(-1, 3)
+    ranges = np.full((len(time), len(events.first.columns)), np.nan)
+    ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, ranges.shape[1]))
+    gaps = list[int]()
+    if (is_posed := has_scan & ~is_raw & kept).any():
+        # They repeat scans with poses, unless there are more of them.
+        if (raw := int(is_raw.sum())) > int(is_posed.sum()):
+            notes += (f"{counted(raw, 'RAWLASER1 line')} without a pose left out",)
+        kept &= ~is_raw
+        mount = _laser_mount(odometry[is_posed], laser[is_posed])
+    else:
+        kept, odometry, gaps, found = _posed(time, odometry, ranges, is_raw, kept)
+        mount, notes = np.zeros(3), notes + found
     if not has_scan[kept].any():
         raise ValueError("has no scan whose time is not negative")
-    scans = kept[has_scan]
-    time, odometry, has_scan = (
-        time[kept] + shifted,
-        np.array(events.odometry).reshape(-1, 3)[kept],
-        has_scan[kept],
+    notes += (events.others,) if events.others else ()
+    angles = np.radians(events.first.angles)
+    beams = _beams(angles, mount, max_range)
+    return pose_log(
+        beams, time[kept] + shifted, odometry[kept], ranges[kept], has_scan[kept], None, notes, gaps
     )
-    odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
-    angles = np.radians(beam_angles_deg(events.beam_count)[np.array(events.columns) - 2])
-    mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3)[scans])
-    ranges = np.full((len(time), len(angles)), np.nan)
-    ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, len(angles))[scans])
-    robot = _robot(angles, mount, max_range, time)
-    notes = _notes_of_times(shifted, int((~kept).sum()))
-    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry, notes=notes)
+
+
+def _posed(
+    time: FloatArray, odometry: FloatArray, ranges: FloatArray, is_raw: BoolArray, kept: BoolArray
+) -> tuple[BoolArray, FloatArray, list[int], tuple[str, ...]]:
+    """Odometry (n, 3) with poses of the scans without one, by the other lines. Also which lines are
+    kept (n,), the first ones after a gap of odometry, and what is to be said of it.
+    """
+    if not (kept & ~is_raw).any():
+        raise ValueError("has no odometry: the scans come without poses, and there is no ODOM line")
+    rows = np.flatnonzero(kept & ~is_raw)
+    rows = rows[np.argsort(time[rows], kind="stable")]
+    stream = OdometryStream.of(time[rows], odometry[rows])
+    scans = np.flatnonzero(kept & is_raw)
+    silent = stream.silent_times(time[scans], ranges[scans])
+    odometry = odometry.copy()
+    odometry[scans] = stream.at(time[scans])
+    odometry[rows] = stream.poses
+    kept = kept.copy()
+    kept[scans] = ~silent.hold(time[scans])
+    outside = (time < stream.times[0]) | (time > stream.times[-1])
+    left_out = int((kept & is_raw & outside).sum())
+    kept &= ~(is_raw & outside)
+    before_or_after = f"{counted(left_out, 'scan')} before or after all odometry left out"
+    notes = (*stream.notes, *silent.notes(time[scans]), *([before_or_after] if left_out else []))
+    return kept, odometry, silent.events_after(time[kept]), notes
 
 
 def _notes_of_times(shifted: float, untimed: int) -> tuple[str, ...]:
@@ -233,8 +349,7 @@ def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:
     return np.array([*np.round(mount[:2], 6), se2.wrap_angle(float(np.round(mount[2], 6)))]) + 0.0
 
 
-def _robot(angles: FloatArray, mount: FloatArray, max_range: float, time: FloatArray) -> RobotSpec:
+def _beams(angles: FloatArray, mount: FloatArray, max_range: float) -> list[SensorSpec]:
     x, y = float(mount[0]), float(mount[1])
     turned = [float(se2.wrap_angle(angle + mount[2])) for angle in angles]
-    beams = tuple(SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned)
-    return RobotSpec(radius=BODY_RADIUS, control_period=median_spacing(time), beams=beams)
+    return [SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned]

@@ -8,6 +8,10 @@ _WAYS = {
     90.0: ("left", "l"),
     180.0: ("back", "rear", "behind", "backward", "b"),
     -90.0: ("right", "r"),
+    45.0: ("fl", "lf"),
+    -45.0: ("fr", "rf"),
+    135.0: ("bl", "rl"),
+    -135.0: ("br", "rr"),
 }
 _TOWARDS = {word: degrees for degrees, words in _WAYS.items() for word in words}
 # A single letter is a direction only as the last word of a name: in "r_l", but not in "l_laser".

@@ -6,6 +6,7 @@ from pathlib import PurePath
 
 from limslam_agent.logs.carmen import read_carmen
 from limslam_agent.logs.csv_log import is_csv, read_csv
+from limslam_agent.logs.headings import with_believable_heading
 from limslam_agent.logs.pose_log import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import (
     ZIP_MAGIC,
@@ -31,6 +32,7 @@ def read_log(
     max_range: float | None = None,
     topics: Topics | None = None,
     table: TableOptions | None = None,
+    missing: str = "auto",
 ) -> RecordedLog:
     """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a
     CARMEN log.
@@ -50,6 +52,9 @@ def read_log(
     table
         The robot that recorded a table, and the units of its columns. Other logs take no such
         options.
+    missing
+        What missing ranges (NaN, negative, 0 or 65535 in the unit of the log) mean: ``nothing``
+        was seen, ``not-measured``, or ``auto``, what the log itself says.
 
     Returns
     -------
@@ -60,7 +65,20 @@ def read_log(
     ------
     LogError
         If the file cannot be used, or a choice does not apply to its format.
+    ValueError
+        If ``missing`` is unknown.
     """
+    log = _as_reported(path, beams_deg, max_range, topics, table)
+    return log if missing == "auto" else log.taken(missing)
+
+
+def _as_reported(
+    path: FilePath,
+    beams_deg: Sequence[float] | None,
+    max_range: float | None,
+    topics: Topics | None,
+    table: TableOptions | None,
+) -> RecordedLog:
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
     if is_bag(path):
         _refuse_options(path, table)
@@ -78,13 +96,13 @@ def read_log(
             chosen = "beams" if beams_deg is not None else "largest range"
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
         _refuse_options(path, table)
-        return read_npz(path)
+        return with_believable_heading(read_npz(path))
     if (
         fspath(path).endswith(_TEXT_ENDINGS)
         or (table is not None and table.columns)
         or is_csv(path)
     ):
-        return read_csv(path, beams_deg, max_range, table)
+        return with_believable_heading(read_csv(path, beams_deg, max_range, table))
     _refuse_options(path, table)
     return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)
 
@@ -92,7 +110,6 @@ def read_log(
 def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
     if table is not None and table != TableOptions():
         raise LogError(
-            f"{fspath(path)}: is not a table in plain text, so --robot, units, --columns and "
-            "--zero-is-nothing do not "
-            "go with it"
+            f"{fspath(path)}: is not a table in plain text, so --robot, units and --columns do "
+            "not go with it"
         )

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from limslam_agent.logs.odometry_breaks import excursions_in_words, without_excursions
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
@@ -87,10 +88,15 @@ def pose_log(
     ranges: FloatArray,
     has_scan: BoolArray,
     robot: RobotSpec | None = None,
+    notes: Sequence[str] = (),
+    gaps: Sequence[int] = (),
+    columns: tuple[str, ...] = (),
 ) -> RecordedLog:
-    """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
+    """The log of a robot that recorded poses. Its arrays, the notes and the columns are as in a
+    :class:`RecordedLog`.
 
-    The headings of ``odometry`` may include full turns. Of a robot that is not described only a
+    The headings of ``odometry`` may include full turns. Single poses that are off the path are
+    replaced. Of a robot that is not described only a
     radius of 0.2 m is assumed. The frame of the estimate is the robot's first pose, because the
     origin of odometry is arbitrary. Raises a ValueError if a number is not finite, or the odometry
     jumps or has impossible coordinates.
@@ -103,7 +109,17 @@ def pose_log(
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
-    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry)
+    odometry, off = without_excursions(time, odometry)
+    return RecordedLog(
+        robot,
+        time,
+        ranges,
+        has_scan,
+        odometry=odometry,
+        notes=(*notes, *excursions_in_words(time, off)),
+        gaps=tuple(gaps),
+        columns=columns,
+    )
 
 
 def check_max_range(max_range: float) -> None:

@@ -2,19 +2,21 @@
 
 import codecs
 import gzip
+import io
 import math
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.readings import as_readings
+from limslam_agent.logs.odometry_breaks import OdometryBreak, odometry_breaks
+from limslam_agent.readings import path_moved, settled
 from limslam_agent.safe_files import load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.geometry.numbers import LARGEST_COORDINATE
@@ -37,7 +39,7 @@ MOST_UNPACKED, LARGEST_RATIO = 16_000_000, 16
 unpacked. A file of one megabyte could become one of a gigabyte.
 """
 
-# m between two events. A longer motion is an error of the log.
+# m between two events. A longer motion is an error of the log, unless the rest of it is a drive.
 LONGEST_JUMP = 50.0
 
 _LONGEST_TIME = 1e12  # s, 30,000 years; a float then still divides a millisecond
@@ -63,6 +65,9 @@ def naming(path: FilePath) -> Iterator[None]:
         raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
+_UNUSED_YAW = "the heading beside the poses of the odometry is not used"
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedLog:
     """A run as the robot recorded it, with one row for each event, in the order of the file.
@@ -75,8 +80,8 @@ class RecordedLog:
         Times of the log (n,), s. They may step back a little.
     ranges
         (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where
-        nothing was seen, and NaN where there is no reading. They are given as the sensors report
-        them.
+        nothing was seen, and NaN where there is no reading, or none that is new. They are given as
+        the sensors report them.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
@@ -95,8 +100,20 @@ class RecordedLog:
     notes
         What the reader has found and done, a line each, for the user: lines that were left out,
         times that were moved.
-    negative
-        How many ranges were negative when the log was read. They are NaN in ``ranges``.
+    gaps
+        Events before which there was no odometry for a while.
+    breaks
+        The motions that the odometry poses do not tell: jumps and gaps.
+    columns
+        How each column of a table was read, a line each.
+    missing
+        What missing readings mean, one of ``limslam_agent.readings.MEANINGS``.
+    reported
+        The ranges (n, n_beams), m, as the sensors report them.
+    repeated
+        How many readings repeat another one. They are NaN in ``ranges``.
+    readings_notes
+        What was found about missing and repeated readings, a line each, for the user.
 
     Raises
     ------
@@ -115,7 +132,13 @@ class RecordedLog:
     true_pose: FloatArray | None = None
     yaw: FloatArray | None = None
     notes: tuple[str, ...] = ()
-    negative: int = field(init=False, default=0)
+    gaps: tuple[int, ...] = ()
+    columns: tuple[str, ...] = ()
+    missing: str = "auto"
+    breaks: tuple[OdometryBreak, ...] = field(init=False, default=())
+    reported: NDArray[Any] = field(init=False)
+    repeated: int = field(init=False)
+    readings_notes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         count, beams = self.time.size, len(self.robot.beams)
@@ -126,10 +149,6 @@ class RecordedLog:
         _check("time", self.time, (count,))
         _check("ranges", self.ranges, (count, beams), finite=False)
         _check("has_scan", self.has_scan, (count,))
-        object.__setattr__(self, "negative", int((self.ranges < 0.0).sum()))
-        readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
-        readings[~self.has_scan] = self.robot.max_ranges
-        object.__setattr__(self, "ranges", readings.astype(np.float32))
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
             if array is not None:
@@ -137,18 +156,70 @@ class RecordedLog:
         if self.true_pose is not None:
             _check("true_pose", self.true_pose, (count, 3))
         if self.yaw is not None:
-            _check("yaw", self.yaw, (count,), finite=False)
+            _check("yaw", np.where(np.isnan(self.yaw), 0.0, self.yaw), (count,))
+            if self.odometry is not None and _UNUSED_YAW not in self.notes:
+                object.__setattr__(self, "notes", (*self.notes, _UNUSED_YAW))
         if self.odometry is not None:
+            breaks = odometry_breaks(self.time, self.odometry, self.gaps)
+            object.__setattr__(self, "breaks", breaks)
             jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
+            jumps[[each.row - 1 for each in breaks]] = 0.0
             if np.any(jumps > LONGEST_JUMP):
                 row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
                 raise ValueError(
                     f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?"
                 )
+        self._settle()
+
+    def _settle(self) -> None:
+        """Turn what the sensors report into readings."""
+        found = settled(
+            self.ranges, self.has_scan, self.robot, path_moved(self._motions()), self.missing
+        )
+        readings = np.where(self.has_scan[:, None], found.readings, self.robot.max_ranges)
+        fields = {
+            "reported": self.ranges,
+            "ranges": readings.astype(np.float32),
+            "repeated": int(found.repeated.sum()),
+            "readings_notes": found.notes,
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+
+    def _motions(self) -> FloatArray:
+        """The motion (n, 3) of each event since the event before, in the robot's frame, m, m, rad:
+        zero after a jump of the odometry.
+        """
+        motions = np.zeros((len(self), 3))
+        if self.odometry is not None:
+            motions[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
+            motions[[each.row for each in self.breaks if each.is_jump]] = 0.0
+        elif self.wheels is not None:
+            motions[1:, 0] = self.wheels[1:].mean(axis=1)
+            motions[1:, 2] = np.diff(self.wheels[1:], axis=1)[:, 0] / self.robot.axle
+        return motions
+
+    def taken(self, missing: str) -> "RecordedLog":
+        """The same log with its missing readings taken as ``missing`` says. Raises a ValueError if
+        that is unknown.
+        """
+        return replace(self, ranges=self.reported, missing=missing)
 
     def __len__(self) -> int:
         """Number of events."""
         return self.time.size
+
+    @property
+    def continuous_odometry(self) -> FloatArray | None:
+        """The odometry poses (n, 3) with a robot that stays where it is at a jump."""
+        if self.odometry is None or not self.breaks:
+            return self.odometry
+        poses = self.odometry.copy()
+        for each in self.breaks:
+            if each.is_jump:
+                frame = se2.compose(poses[each.row - 1], se2.inverse(poses[each.row]))
+                poses[each.row :] = se2.compose(frame, poses[each.row :])
+        return poses
 
     def observations(self) -> Iterator[Observation]:
         """The observation of each event, in new arrays.
@@ -158,16 +229,14 @@ class RecordedLog:
         Observation
             ``ranges`` (n_beams,) float32, m, with ``wheels`` (2,) float32, m, or with ``odometry``
             (3,) float64. The odometry is the motion since the previous event in the robot's frame
-            at that event, and zero at the first event. An event without a scan has no ``ranges``.
+            at that event. It is zero at the first event and after a jump, where a robot has most
+            likely stayed. An event without a scan has no ``ranges``.
         """
-        moves = None
-        if self.odometry is not None:
-            moves = np.zeros((len(self), 3))
-            moves[1:] = se2.between(self.odometry[:-1], self.odometry[1:])
+        motions = self._motions()
         for row in range(len(self)):
             observation: Observation = {}
-            if moves is not None:
-                observation["odometry"] = moves[row].copy()
+            if self.odometry is not None:
+                observation["odometry"] = motions[row].copy()
             elif self.wheels is not None:
                 observation["wheels"] = self.wheels[row].astype(np.float32)
             if self.yaw is not None:
@@ -185,9 +254,10 @@ def read_npz(path: FilePath) -> RecordedLog:
     ----------
     path
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action``
-        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log
-        of a simulated run also has the truth: ``true_pose`` (n, 3) after each step, and
-        ``wall_seen`` (n, n_beams). Pickled objects are refused.
+        (n, 2), ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. That of a
+        robot with an inertial measurement unit has ``yaw`` (n,), rad. The log of a simulated run
+        also has the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams).
+        Pickled objects are refused.
 
     Raises
     ------
@@ -219,6 +289,7 @@ def read_npz(path: FilePath) -> RecordedLog:
             start_pose=_floats("start_pose", arrays),
             wheels=_floats("wheels", arrays),
             true_pose=_floats("true_pose", arrays) if has_truth else None,
+            yaw=_floats("yaw", arrays) if "yaw" in arrays else None,
         )
 
 
@@ -265,10 +336,11 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         raw.seek(0)
         file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
         try:
-            while line := file.readline(LONGEST_LINE):
+            is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+            file.seek(0)
+            lines = _lines_of_utf16(file) if is_utf16 else _lines_of(file)
+            for line in lines:
                 number += 1
-                if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-                    raise ValueError("this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
@@ -282,6 +354,20 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
             raise ValueError(f"line {number + 1}: cut short: the gzip stream ends here") from error
         except (gzip.BadGzipFile, zlib.error) as error:
             raise ValueError(f"line {number + 1}: the gzip stream is damaged: {error}") from error
+
+
+def _lines_of(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
+    while line := file.readline(LONGEST_LINE):
+        yield line
+
+
+def _lines_of_utf16(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
+    """The lines of a text in UTF-16, in UTF-8."""
+    with io.TextIOWrapper(
+        cast("IO[bytes]", file), encoding="utf-16", errors="replace", newline="\n"
+    ) as text:
+        while line := text.readline(LONGEST_LINE):
+            yield line.encode("utf-8", "replace")
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
@@ -336,7 +422,7 @@ _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
-    arrays = load_arrays(Path(path), _ARRAYS, math.inf)
+    arrays = load_arrays(Path(path), (*_ARRAYS, "yaw"), math.inf)
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):

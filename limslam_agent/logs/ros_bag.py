@@ -23,6 +23,12 @@ METADATA = "metadata.yaml"
 _MAGIC = {b"#ROSBAG V": ".bag", b"\x89MCAP": ".mcap", b"SQLite format 3": ".db3"}
 _LONGEST_MAGIC = max(map(len, _MAGIC))
 _LONGEST_REASON = 200
+# What mends a bag whose recorder did not end, by the suffix of the file
+_REMEDIES = {
+    ".bag": "rosbag reindex",
+    ".mcap": "mcap recover",
+    ".db3": "sqlite3 with .recover, and then ros2 bag reindex,",
+}
 
 
 @dataclass(frozen=True)
@@ -122,13 +128,13 @@ def _check_ending(path: FilePath) -> None:
     place = Path(path)
     if place.is_dir():
         if not (place / METADATA).is_file():
-            run = (
-                f"; the log of this run is {place / 'log.npz'}"
-                if (place / "log.npz").is_file()
-                else ""
-            )
+            hint = ""
+            if (place / "log.npz").is_file():
+                hint = f"; the log of this run is {place / 'log.npz'}"
+            elif _storage_suffix(place) is not None:
+                hint = "; ros2 bag reindex writes it"
             raise LogError(
-                f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}{run}"
+                f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}{hint}"
             )
         for file in place.iterdir():
             if not file.is_dir():
@@ -164,4 +170,14 @@ def _one_line(path: FilePath) -> Iterator[None]:
         its_own = type(error).__module__.startswith("rosbags") and str(error)
         reason = str(error) if its_own else f"{type(error).__name__} {error}"
         what = "cut short, damaged, or of a kind that rosbags cannot read"
-        raise LogError(f"{fspath(path)}: {what}: {reason[:_LONGEST_REASON].strip()}") from error
+        remedy = f"; {_REMEDIES[suffix]} may mend it" if (suffix := _storage_suffix(path)) else ""
+        raise LogError(
+            f"{fspath(path)}: {what}: {reason[:_LONGEST_REASON].strip()}{remedy}"
+        ) from error
+
+
+def _storage_suffix(path: FilePath) -> str | None:
+    """The suffix of a bag's file, also of one in a folder. None if there is no such file."""
+    place = Path(path)
+    files = sorted(place.iterdir()) if place.is_dir() else [place]
+    return next((file.suffix for file in files if file.suffix in _REMEDIES), None)

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.logs.odometry_breaks import OdometryStream
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, check_max_range, pose_log
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog
-from limslam_agent.logs.ros_bag import Bag, Message, open_bag
+from limslam_agent.logs.ros_bag import Bag, open_bag
 from limslam_agent.logs.ros_messages import stamp_of
 from limslam_agent.logs.ros_topics import Plan, Reader, Topics, plan_for
 from limslam_env.geometry import FloatArray
@@ -53,23 +54,18 @@ def _read(bag: Bag, readers: list[Reader]) -> list[FloatArray]:
     rows: list[list[Any]] = [[] for _ in readers]
     for message in bag.messages({reader.topic for reader in readers}):
         for reader, row in zip(readers, rows, strict=True):
-            if reader.topic == message.topic:
-                row.append(
-                    (
-                        stamp_of(message.content),
-                        message.bag_time,
-                        *_values(reader, message, len(row)),
-                    )
-                )
+            if reader.topic == message.topic and (part := reader.part(message.content)) is not None:
+                values = _values(reader, part, len(row))
+                row.append((stamp_of(part), message.bag_time, *values))
     for reader, row in zip(readers, rows, strict=True):
         if not row:
             raise ValueError(f"the topic {reader.topic} is empty")
     return [np.array(row, dtype=np.float64) for row in rows]
 
 
-def _values(reader: Reader, message: Message, number: int) -> list[float]:
+def _values(reader: Reader, part: Any, number: int) -> list[float]:
     try:
-        return [float(value) for value in reader.read(message.content)]
+        return [float(value) for value in reader.read(part)]
     except _MISSHAPEN as error:
         raise ValueError(f"{reader.topic}: message {number + 1}: {error}") from error
 
@@ -112,10 +108,28 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
     time, ranges = time[inside], ranges[inside]
     heading = moves[-1][1]
     heading[:, -1] = np.unwrap(heading[:, -1])
-    columns = [np.interp(time, times, column) for times, values in moves for column in values.T]
+    times = min((times for times, _ in moves), key=len)
+    stream = OdometryStream.of(times, _poses_at(moves, times))
+    odometry = stream.at(time) if len(moves) == 1 else _poses_at(moves, time)
+    silent = stream.silent_times(time, ranges)
+    kept = ~silent.hold(time)
+    if not kept.any():
+        raise ValueError("has no odometry at the times of its ranges")
     return pose_log(
-        plan.beams, time, np.column_stack(columns), ranges, np.ones(len(time), dtype=np.bool_)
+        plan.beams,
+        time[kept],
+        odometry[kept],
+        ranges[kept],
+        np.ones(int(kept.sum()), dtype=np.bool_),
+        notes=(*stream.notes, *silent.notes(time)),
+        gaps=silent.events_after(time[kept]),
     )
+
+
+def _poses_at(moves: list[tuple[FloatArray, FloatArray]], time: FloatArray) -> FloatArray:
+    """Odometry (n, 3) at times (n,), s, by linear interpolation. Headings do not jump."""
+    columns = [np.interp(time, times, column) for times, values in moves for column in values.T]
+    return np.column_stack(columns)
 
 
 def _together(

@@ -130,19 +130,19 @@ class Mounts:
     """
 
     def __init__(self, base: str | None = None) -> None:
-        self._base = _bare(base or "")
+        self._base = bare(base or "")
         self._parents: dict[str, tuple[str, FloatArray, FloatArray]] = {}
 
-    def add(self, message: Any) -> None:
-        """Add one TFMessage. Raises a ValueError if a rotation is invalid."""
-        for each in message.transforms:
+    def add(self, transforms: Sequence[Any]) -> None:
+        """Add the transforms of a TFMessage. Raises a ValueError if a rotation is invalid."""
+        for each in transforms:
             shift, turn = each.transform.translation, each.transform.rotation
             rotation = rotation_of((turn.x, turn.y, turn.z, turn.w))
             place = np.array([float(shift.x), float(shift.y), float(shift.z)])
             if not np.isfinite(place).all():
                 raise ValueError(f"the place of {each.child_frame_id!r} is not finite")
-            self._parents[_bare(each.child_frame_id)] = (
-                _bare(each.header.frame_id),
+            self._parents[bare(each.child_frame_id)] = (
+                bare(each.header.frame_id),
                 rotation,
                 place,
             )
@@ -151,7 +151,7 @@ class Mounts:
         """Rotation (3, 3) and position (3,), m, of a frame on the body. None if the frame is
         unknown.
         """
-        frame, rotation, place = _bare(frame), np.eye(3), np.zeros(3)
+        frame, rotation, place = bare(frame), np.eye(3), np.zeros(3)
         if frame == self._base:
             return rotation, place
         passed: set[str] = set()
@@ -180,6 +180,6 @@ def beam_on_body(
     return beam(towards, limits[1], x=float(place[0]), y=float(place[1]), min_range=limits[0])
 
 
-def _bare(frame: str) -> str:
+def bare(frame: str) -> str:
     """A frame without the leading slash of some ROS 1 names."""
     return frame.removeprefix("/")

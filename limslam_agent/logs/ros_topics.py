@@ -19,6 +19,7 @@ from limslam_agent.logs.ros_messages import (
     RANGE,
     TRANSFORMS,
     Mounts,
+    bare,
     beam_on_body,
     pose_of,
     scan_angles,
@@ -31,6 +32,8 @@ from limslam_env.interface import SensorSpec
 
 _MOST_NAMED = 8
 _MOVES = (ODOMETRY, *POSES)
+# Names of the frames from which a transform to the body is odometry, or else a pose
+_ODOMETRY_FRAMES = "odom", "map", "world"
 _AT_ORIGIN = (np.eye(3), np.zeros(3))
 
 # A Crazyflie drone records its log blocks as plain arrays, and the topics' names describe their
@@ -49,10 +52,13 @@ its type.
 
 @dataclass(frozen=True, eq=False)
 class Reader:
-    """Extracts the wanted numbers from each message of a topic."""
+    """Extracts the wanted numbers from each message of a topic, or from the part of it with a
+    header. A message may lack this part.
+    """
 
     topic: str
     read: Callable[[Any], Sequence[float] | FloatArray]
+    part: Callable[[Any], Any | None] = lambda message: message
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +104,16 @@ def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_ra
         )
     scans, ranges = _sensor_topics(bag, chosen)
     odometry = _odometry_topic(bag, chosen)
-    mounts = _mounts(bag, odometry)
+    if odometry is None:
+        moves, mounts = _moves_in_transforms(bag)
+    else:
+        moves, mounts = Reader(odometry, pose_of), _mounts(bag, odometry)
     sensors = [_laser(bag, topic, mounts, max_range) for topic in scans]
     given = [_range_sensor(bag, topic, chosen.get(topic), mounts, max_range) for topic in ranges]
     sensors += [sensor for sensor in given if sensor is not None]
     if not sensors:
         raise ValueError(f"all of {', '.join(ranges)} look up or down: no beam is left")
-    return _choose(sensors, [Reader(odometry, pose_of)], beams_deg)
+    return _choose(sensors, [moves], beams_deg)
 
 
 def _crazyflie(
@@ -167,9 +176,9 @@ def _sensor_topics(bag: Bag, chosen: Topics) -> tuple[list[str], list[str]]:
     return scans, ranges
 
 
-def _odometry_topic(bag: Bag, chosen: Topics) -> str:
+def _odometry_topic(bag: Bag, chosen: Topics) -> str | None:
     """The topic of odometry, which is preferred to poses: they are often goals or estimates of
-    other programs.
+    other programs. None if the bag has neither.
     """
     wanted = [topic for kind in _MOVES for topic in _of_type(bag, kind, chosen)]
     for found in (
@@ -183,7 +192,58 @@ def _odometry_topic(bag: Bag, chosen: Topics) -> str:
             )
         if found:
             return found[0]
-    raise ValueError(f"has no Odometry and no pose; {_contents(bag)}")
+    return None
+
+
+def _moves_in_transforms(bag: Bag) -> tuple[Reader, Mounts]:
+    """The reader of the transform from a frame of odometry to the body, and the mounts on the body.
+
+    Other transforms that are sent again and again are taken to be fixed, as that from the body's
+    place on the floor to its middle.
+    """
+    moving, fixed = _transform_topics(bag, is_fixed=False), _transform_topics(bag, is_fixed=True)
+    found = {
+        (bare(each.header.frame_id), bare(each.child_frame_id)): (message.topic, each)
+        for message in bag.messages(moving)
+        for each in message.content.transforms
+    }
+    for word in _ODOMETRY_FRAMES:
+        ends = [each for each in found if word in each[0].rpartition("/")[2] and each[0] != each[1]]
+        if not ends:
+            continue
+        if len(ends) > 1:
+            names = ", ".join(f"{parent} to {child}" for parent, child in ends)
+            raise ValueError(f"has {len(ends)} transforms from a frame of odometry, {names}")
+        parent, child = ends[0]
+        mounts = Mounts(child)
+        mounts.add([found[other][1] for other in found if other != ends[0]])
+        for message in bag.messages(fixed):
+            mounts.add(message.content.transforms)
+        return Reader(found[ends[0]][0], pose_of, _between(parent, child)), mounts
+    raise ValueError(
+        f"has no Odometry, no pose and no transform from odom to the body; {_contents(bag)}"
+    )
+
+
+def _between(parent: str, child: str) -> Callable[[Any], Any | None]:
+    """A function that finds the transform between two frames in a TFMessage."""
+
+    def part(message: Any) -> Any | None:
+        for each in message.transforms:
+            if (bare(each.header.frame_id), bare(each.child_frame_id)) == (parent, child):
+                return each
+        return None
+
+    return part
+
+
+def _transform_topics(bag: Bag, *, is_fixed: bool) -> list[str]:
+    """The topics of transforms that never change, or of the others."""
+    return [
+        topic
+        for topic, kind in bag.types.items()
+        if kind in TRANSFORMS and topic.endswith("tf_static") == is_fixed
+    ]
 
 
 def _of_type(bag: Bag, wanted: str, among: Collection[str] | None = None) -> list[str]:
@@ -218,13 +278,8 @@ def _contents(bag: Bag) -> str:
 
 def _mounts(bag: Bag, odometry: str) -> Mounts:
     mounts = Mounts(getattr(bag.first(odometry), "child_frame_id", None))
-    fixed = [
-        topic
-        for topic, kind in bag.types.items()
-        if kind in TRANSFORMS and topic.endswith("tf_static")
-    ]
-    for told in bag.messages(fixed):
-        mounts.add(told.content)
+    for message in bag.messages(_transform_topics(bag, is_fixed=True)):
+        mounts.add(message.content.transforms)
     return mounts
 
 

@@ -7,14 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limslam_agent.logs.columns import DIMENSION_OF, UNITS, Column, Dimension, Role
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec
-
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-"""Units of ranges, m."""
-
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
-"""Units of times, s."""
 
 LARGEST_OFF_AXIS_DEG = 45.0
 """Directions of zones lie at most this far from the optical axis of their sensor, deg."""
@@ -39,6 +34,35 @@ another unit, or its counters are wrong.
 """
 
 
+_OPTIONS = {
+    "range_unit": Dimension.LENGTH,
+    "time_unit": Dimension.TIME,
+    "angle_unit": Dimension.ANGLE,
+    "position_unit": Dimension.LENGTH,
+}
+_OPTION_OF = {
+    Role.TIME: "time_unit",
+    Role.RANGE: "range_unit",
+    Role.X: "position_unit",
+    Role.Y: "position_unit",
+    Role.DISTANCE: "position_unit",
+    Role.HEADING: "angle_unit",
+    Role.YAW: "angle_unit",
+    Role.ANGLE: "angle_unit",
+    Role.TURN_RATE: "angle_unit",
+    Role.YAW_RATE: "angle_unit",
+}
+
+
+def scale(unit: str) -> float:
+    """How many s, m, rad, m/s or rad/s a unit is."""
+    return UNITS[DIMENSION_OF[unit]][unit]
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
 @dataclass(frozen=True)
 class TableOptions:
     """The robot of a table, and how its numbers become metres and seconds.
@@ -55,20 +79,26 @@ class TableOptions:
         Whether the columns ``left`` and ``right`` count from the start of the robot, as encoder
         counters do. Otherwise they hold the travel since the row before.
     range_unit
-        ``m``, ``cm`` or ``mm``.
+        ``m``, ``cm`` or ``mm``. None takes the unit in the names of the columns, or else metres.
     time_unit
-        ``s``, ``ms`` or ``us``.
+        ``s``, ``ms``, ``us`` or ``ns``. None takes the unit in the name of the column, or the one
+        that the spacing of the rows shows, or else seconds.
     zone_axes
         Directions of the optical axes of multi-zone sensors in the robot's frame, deg. The columns
         then hold perpendicular distances, along the axis that is nearest to the direction of the
         column. Without axes the columns hold distances along their own directions.
-    zero_is_nothing
-        Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may
-        be too near to be measured, and a negative number is no reading.
     columns
         What the columns hold, in place of the file's own header: the names that a header would
-        have, in any order, and ``-`` for a column that is not used. Empty if the header of the file
-        is read.
+        have, in any order, ``-`` for a column that is not used, and ``-`` before the name of one
+        that counts the other way. Empty if the header of the file is read.
+    angle_unit
+        Unit of headings and turns, ``rad`` or ``deg``. None takes the unit in the name of the
+        column, or the one that the motion shows, or else radians.
+    position_unit
+        Unit of positions and travelled distances, ``m``, ``cm`` or ``mm``. None takes the unit in
+        the name, or else metres.
+    wheel_radius
+        Radius of the wheels, m, which speeds of wheels in rad/s or turns a minute need.
 
     Raises
     ------
@@ -80,68 +110,89 @@ class TableOptions:
     robot: RobotSpec | None = None
     metres_per_tick: float = 1.0
     accumulated: bool = False
-    range_unit: str = "m"
-    time_unit: str = "s"
+    range_unit: str | None = None
+    time_unit: str | None = None
     zone_axes: tuple[float, ...] = ()
-    zero_is_nothing: bool = False
     columns: tuple[str, ...] = ()
+    angle_unit: str | None = None
+    position_unit: str | None = None
+    wheel_radius: float | None = None
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres_per_tick) and self.metres_per_tick > 0.0):
             raise ValueError(
                 f"--metres-per-tick must be a number above 0, not {self.metres_per_tick:g}"
             )
-        for option, unit, known in (
-            ("--range-unit", self.range_unit, LENGTHS),
-            ("--time-unit", self.time_unit, TIMES),
-        ):
-            if unit not in known:
+        radius = self.wheel_radius
+        if radius is not None and not (math.isfinite(radius) and radius > 0.0):
+            raise ValueError(f"--wheel-radius must be a number above 0, not {radius:g}")
+        for name, dimension in _OPTIONS.items():
+            unit, known = getattr(self, name), UNITS[dimension]
+            if unit is not None and unit not in known:
+                option = _option(name)
                 raise ValueError(f"{option} must be one of {', '.join(known)}, not {unit!r}")
         if not all(map(math.isfinite, self.zone_axes)):
             raise ValueError(f"--zone-axes must be directions in degrees, not {self.zone_axes}")
 
-    @property
-    def seconds(self) -> float:
-        """Seconds for each 1 in the time column."""
-        return TIMES[self.time_unit]
+    def unit_of(self, column: Column) -> str | None:
+        """Unit of a column: that in its name, that of an option, or the usual one. None if nothing
+        says it. Raises a ValueError if the name and the option do not agree.
+        """
+        name = _OPTION_OF.get(column.role) if column.role is not None else None
+        chosen = None if name is None else getattr(self, name)
+        if chosen is not None and column.role in (Role.TURN_RATE, Role.YAW_RATE):
+            chosen = f"{chosen}/s"
+        if name is not None and chosen is not None and column.unit not in (None, chosen):
+            raise ValueError(
+                f"the column {column.name[:40]!r} is in {column.unit} by its name, but "
+                f"{_option(name)} says {getattr(self, name)}: leave out the option, or name the "
+                "column otherwise with --columns"
+            )
+        return column.unit or chosen or column.usual
 
-    def along_beam(self, degrees: float) -> float:
-        """Metres along a beam in the direction ``degrees`` for each 1 in its range column.
+    def along_beam(self, degrees: float, unit: str) -> float:
+        """Metres along a beam in the direction ``degrees`` for each 1 in its range column, which
+        is in ``unit``.
 
         A multi-zone sensor reports the distance d along its optical axis. At an angle a from this
         axis, the distance along the zone's own direction is d / cos(a). Raises a ValueError if no
         axis of ``zone_axes`` is near this direction.
         """
+        metres = UNITS[Dimension.LENGTH][unit]
         if not self.zone_axes:
-            return LENGTHS[self.range_unit]
+            return metres
         apart = np.abs(se2.wrap_angle(np.radians(np.array(self.zone_axes) - degrees))).min()
         if apart > math.radians(LARGEST_OFF_AXIS_DEG):
             raise ValueError(
                 f"--zone-axes: no axis lies within {LARGEST_OFF_AXIS_DEG:g} deg of the column at "
                 f"{degrees:g} deg"
             )
-        return LENGTHS[self.range_unit] / math.cos(apart)
+        return metres / math.cos(apart)
 
-    def wheel_travel(self, columns: FloatArray, robot: RobotSpec) -> FloatArray:
-        """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and
-        ``right`` (n, 2).
+    def travel(
+        self, columns: FloatArray, metres: FloatArray, fastest: float, period: float
+    ) -> FloatArray:
+        """Travel (n, k), m, since the row before, from columns (n, k) of travel or counters.
+
+        ``metres`` (k,) is the travel for each 1 in them, ``fastest`` the largest speed, m/s, and
+        ``period`` the usual time between two rows, s.
 
         The first row has no row before it. The robot counts as standing there, wherever it drove
         earlier. Counters of any number of bits, with or without a sign, are continued where they
-        begin again. The control period of ``robot`` is the usual time between two rows.
+        begin again.
         """
-        travel = (
-            np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
-        )
-        travel[0] = 0.0
         if self.accumulated:
-            farthest = SPARE * robot.max_wheel_speed * robot.control_period / self.metres_per_tick
+            travel = np.diff(columns, axis=0, prepend=columns[:1])
+            farthest = SPARE * fastest * period / float(metres.min())
             travel = _continued(travel, columns, farthest)
-        return travel * self.metres_per_tick
+        else:
+            travel = columns.copy()
+        travel[0] = 0.0
+        return travel * metres
 
 
 def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> FloatArray:
-    """Travel (n, 2), ticks, without the jumps of counters (n, 2) that begin again after a power of
+    """Travel (n, k), ticks, without the jumps of counters (n, k) that begin again after a power of
     two.
 
     They count as such counters if the jump is right in at least one row: without it, no wheel
@@ -158,28 +209,43 @@ def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> Floa
 
 
 def check_travel(
-    wheels: FloatArray, time: FloatArray, robot: RobotSpec, options: TableOptions
+    wheels: FloatArray,
+    time: FloatArray,
+    robot: RobotSpec,
+    options: TableOptions,
+    question: str = "",
 ) -> None:
     """Refuse wheel travel (n, 2), m, that the robot cannot drive between two rows with the times
     (n,), s.
 
-    The message asks about what the options have not said. Raises a ValueError if a wheel travels
-    more than ten times as far as the robot's largest wheel speed allows.
+    The message ends with ``question``, or asks about what the options have not said. Raises a
+    ValueError if a wheel travels more than ten times as far as the robot's largest wheel speed
+    allows.
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
-    farthest = np.abs(wheels).max(axis=1)
-    is_too_far = farthest > TOO_FAST * robot.max_wheel_speed * lasted
-    if not is_too_far.any():
+    travelled = np.abs(wheels).max(axis=1)
+    farthest = TOO_FAST * robot.max_wheel_speed * lasted
+    if not (travelled > farthest).any():
         return
-    row = int(np.argmax(is_too_far))
-    question = (
-        f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again after a "
-        "power of two"
-        if options.accumulated
-        else "Are left and right metres since the row before? --metres-per-tick converts ticks, "
-        "and --accumulated says that they count from the start"
-    )
+    row = int(np.argmax(travelled > farthest))
     raise ValueError(
-        f"a wheel travels {farthest[row]:.3g} m in {lasted[row]:.3g} s at time {time[row]:g} s, "
-        f"but the robot's max_wheel_speed is {robot.max_wheel_speed:g} m/s. {question}"
+        f"a wheel travels {travelled[row]:.3g} m in {lasted[row]:.3g} s at time {time[row]:g} s, "
+        f"but the robot's max_wheel_speed is {robot.max_wheel_speed:g} m/s. "
+        f"{question or _question(wheels, farthest, options)}"
+    )
+
+
+def _question(wheels: FloatArray, farthest: FloatArray, options: TableOptions) -> str:
+    """What to ask about wheel travel (n, 2), m, of which some is more than ``farthest`` (n,), m."""
+    if options.accumulated:
+        return (
+            f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again "
+            "after a power of two"
+        )
+    changes = np.abs(np.diff(wheels, axis=0)).max(axis=1, initial=0.0)
+    if (changes[1:] <= farthest[2:]).all():
+        return "They look like counters: --accumulated says that they count from the start"
+    return (
+        "Are left and right metres since the row before? --metres-per-tick converts ticks, and "
+        "--accumulated says that they count from the start"
     )

@@ -12,6 +12,7 @@ from limslam_agent.mapping.frame_mapper import FrameMapper
 from limslam_agent.places.absence import Placement, StepLog
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import Revision, Unplaced
+from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.slam import LineSlam, RangeSensor
 from limslam_agent.status.monitor import Loss
 from limslam_agent.status.rays import Sight
@@ -63,17 +64,27 @@ class Frames:
         """
         return self._present.slam
 
-    def _found(self) -> tuple[RangeSensor | None, list[bool]]:
-        """The sensor as it is known now, and whether the odometry of each robot is corrected."""
-        return self.slam.sensor, [found is not None for found in self.slam.odometry_calibrations]
+    def _found(self) -> tuple[RangeSensor | None, list[bool], list[list[float]]]:
+        """The sensor as it is known now, whether sizes of wheels and axle of each robot are
+        corrected, and for how many steps its beams repeat their readings.
+
+        The errors of a heading are a part of the state from the start.
+        """
+        slam = self.slam
+        is_calibrated = [
+            each is not None and isinstance(each[0], OdometryCalibration)
+            for each in slam.odometry_calibrations
+        ]
+        return slam.sensor, is_calibrated, [front.holds for front in slam.robots]
 
     def _slam_at(self, starts: FloatArray) -> LineSlam:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and
         sensor.
         """
-        sensor, is_calibrated = self._found()
+        sensor, is_calibrated, _ = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
         slam = LineSlam(self.robot, config, starts, sensor)
+        slam.know_repeats(self.slam)
         if slam.range_sensor.delay:  # it cannot find them in travel that waits
             slam.ticks = self.slam.ticks.copy()
         return slam

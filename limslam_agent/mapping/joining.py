@@ -18,6 +18,7 @@ from limslam_agent.places.absence import copied
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.other_map import Meeting, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
+from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import Sight
@@ -326,6 +327,7 @@ class JoiningMapper(Mapper):
             self._meeting.ranges[:, [number]],
         )
         wheels = np.array([step.observation["wheels"] for step in steps])[:, None]
+        yaw = np.array([yaw_of(step.observation) for step in steps])
         poses = np.array([step.pose for step in steps])[:, None]
         return FilteredRun(
             self.robot,
@@ -338,6 +340,7 @@ class JoiningMapper(Mapper):
             slam.associations,
             slam.closures,
             sensor=slam.sensor,
+            yaw=yaw[:, None],
         )
 
     def _check_joining(self) -> None:

@@ -356,8 +356,11 @@ class Mapper(Frames):
             ratio = sensor.usual_std(reach) / before[0].usual_std(reach)
             if max(ratio, 1.0 / ratio) < _SAME_NOISE:
                 sensor = sensor._replace(std=before[0].std, growth=before[0].growth)
-                self._known = sensor, self._known[1]
+                self._known = sensor, *self._known[1:]
         self._first_steps.append(observations)
+        if self._known[2] != before[2]:
+            self.slam.forget_sensor()
+            self._restarts, self._known = 0, self._found()
         if before[0] is not None and sensor.broken != before[0].broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
         return self._known != before and self._restarts < MOST_RESTARTS

@@ -13,6 +13,7 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import is_far
 from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
+from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
 from limslam_agent.status.rays import Sight, rays_of
@@ -62,7 +63,9 @@ class Renewal:
             list[FloatArray](),
             list[FloatArray](),
         )
-        self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
+        self._rows: list[
+            tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray, float]
+        ] = []
         self._start: MapState | None = None
         self._associations = self._closures = self._first_step = (
             0  # numbers of those before the stretch
@@ -77,7 +80,14 @@ class Renewal:
         front = self._slam.robots[0]
         travel = np.asarray(observation["wheels"], dtype=float)
         self._rows.append(
-            (travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance)
+            (
+                travel,
+                front.ranges,
+                front.measured,
+                self._slam.pose,
+                self._slam.covariance,
+                yaw_of(observation),
+            )
         )
 
     def renew_if_due(self) -> bool:
@@ -141,7 +151,7 @@ class Renewal:
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
         grid = self._first_grid.copied()
-        _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
+        _, ranges, measured, *_ = zip(*self._rows[1:], strict=True)
         grid.draw(
             self._slam.mounted,
             np.array(poses)[:, None],
@@ -157,7 +167,7 @@ class Renewal:
         A stretch that was joined wrongly with the map from before passes through walls of that map.
         """
         sensor = slam.range_sensor
-        _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
+        _, ranges, measured, *_ = zip(*self._rows[1:], strict=True)
         steps = [
             Sight(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)
         ]
@@ -181,7 +191,7 @@ class Renewal:
         from limslam_agent.slam.line_graph.renewal import renewed
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        wheels, ranges, usable, poses, covariances = (
+        wheels, ranges, usable, poses, covariances, yaw = (
             np.array(each) for each in zip(*self._rows, strict=True)
         )
         settings = self._config.run_smoothing
@@ -205,5 +215,6 @@ class Renewal:
             first_step=self._first_step,
             sensor=self._slam.sensor,
             ticks=self._slam.ticks,
+            yaw=yaw[:, None],
         )
         return renewed(self._start, stretch, settings)

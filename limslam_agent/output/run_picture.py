@@ -148,21 +148,25 @@ def draw_run(
             transform=upper.transAxes,
             fontsize=9,
         )
-    words = figure.add_subplot(grid[2, 1])
-    words.set_axis_off()
-    told = [
+    _write(figure.add_subplot(grid[2, 1]), lines)
+
+
+def _write(axes: Axes, lines: Sequence[str]) -> None:
+    """Write lines of text into empty axes."""
+    axes.set_axis_off()
+    wrapped = [
         part
         for line in lines
         for part in textwrap.wrap(line, _LETTERS, subsequent_indent=12 * " ") or [""]
     ]
-    words.text(
+    axes.text(
         0.0,
         1.0,
-        "\n".join(told),
+        "\n".join(wrapped),
         va="top",
         fontsize=8,
         family="monospace",
-        transform=words.transAxes,
+        transform=axes.transAxes,
         parse_math=False,
     )
 

@@ -25,18 +25,31 @@ _SENSOR = {
     "noise_growth_per_m": ("further noise of {:.1f} cm at 1 m", 100.0),
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
 }
-_SIZES = {"left": "left wheel", "right": "right wheel", "axle": "axle"}
+_SIZES = {
+    "left": ("left wheel {:+.2f} +- {:.2f} %", 100.0),
+    "right": ("right wheel {:+.2f} +- {:.2f} %", 100.0),
+    "axle": ("axle {:+.2f} +- {:.2f} %", 100.0),
+}
 
 
-def calibration_record(calibration: Sequence[float], covariance: FloatArray) -> dict[str, float]:
-    """For a ``result.json``: relative errors of left wheel, right wheel and axle, and their
-    standard deviations.
+_HEADING = {
+    "size": ("wheels {:+.2f} +- {:.2f} %", 100.0),
+    "scale": ("turns {:+.2f} +- {:.2f} % of the heading", 100.0),
+    "drift": ("drift of the heading {:+.3f} +- {:.3f} deg/s", math.degrees(1.0)),
+}
+
+
+def calibration_record(
+    calibration: Mapping[str, float], covariance: FloatArray
+) -> dict[str, float]:
+    """For a ``result.json``: the constant errors of the odometry by their names, and their standard
+    deviations.
     """
-    pairs = zip(_SIZES, calibration, np.sqrt(np.diag(covariance)), strict=True)
+    pairs = zip(calibration.items(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
     return {
         name: number
-        for part, error, std in pairs
-        for name, number in ((part, error), (f"{part}_std", float(std)))
+        for (part, error), std in pairs
+        for name, number in ((part, error), (f"{part}_std", std))
     }
 
 
@@ -162,15 +175,15 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
 
 def _calibration_line(found: Any) -> str:
     """A robot's odometry calibration, as :func:`calibration_record` has it."""
-    if not isinstance(found, dict) or not _has(
-        found, *(f"{part}{end}" for part in _SIZES for end in ("", "_std"))
-    ):
-        return "calibrated  by unknown sizes"
-    sizes = [
-        f"{name} {100.0 * found[part]:+.2f} +- {100.0 * found[f'{part}_std']:.2f} %"
-        for part, name in _SIZES.items()
-    ]
-    return f"calibrated  {', '.join(sizes)}"
+    for words in (_SIZES, _HEADING):
+        names = [(part, f"{part}_std") for part in words]
+        if isinstance(found, dict) and _has(found, *(name for pair in names for name in pair)):
+            sizes = [
+                text.format(scale * found[part], scale * found[std])
+                for (part, std), (text, scale) in zip(names, words.values(), strict=True)
+            ]
+            return f"calibrated  {', '.join(sizes)}"
+    return "calibrated  by unknown sizes"
 
 
 def _sensor_line(found: Any, beams: Any) -> list[str]:

@@ -12,6 +12,10 @@ from limslam_agent.safe_files import read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import one_line
 
+# A robot on a floor rises by less, m, and is tilted by less, deg.
+_LARGEST_RISE, _LARGEST_TILT_DEG = 0.1, 10.0
+_FLAT = 0.2  # of the change of z: a smaller change of y means that the floor is the plane x-z
+
 
 class TrajectoryError(ValueError):
     """A file does not hold a trajectory. The message says which file and why."""
@@ -61,6 +65,25 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
             f"{path}: line {numbers[int(np.argmin(is_turn))]} has a quaternion of length 0"
         )
     return table[:, 0], np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
+
+
+def out_of_plane(path: Path) -> list[str]:
+    """Why the poses of a TUM file are more than their projection on the plane x-y, which is what
+    :func:`read_tum` reads: a sentence, or nothing.
+    """
+    _, table = read_rows(path, "t x y z qx qy qz qw")
+    if not len(table):
+        return []
+    squares = table[:, 4:] ** 2
+    upright = 1.0 - 2.0 * squares[:, :2].sum(axis=1) / np.maximum(squares.sum(axis=1), 1e-12)
+    tilt = math.degrees(math.acos(np.clip(upright.min(), -1.0, 1.0)))
+    _, y, z = np.ptp(table[:, 1:4], axis=0).tolist()
+    if z <= _LARGEST_RISE and tilt <= _LARGEST_TILT_DEG:
+        return []
+    found = f"{path}: z changes by {z:.2f} m, and poses are tilted by up to {tilt:.0f} deg"
+    if z > _LARGEST_RISE and y < _FLAT * z:
+        return [f"{found}, nearly without y: is it in the axes of a camera? x and y are scored"]
+    return [f"{found}: their projection on the plane x-y is scored"]
 
 
 def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:

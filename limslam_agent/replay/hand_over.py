@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.logs.odometry_breaks import OdometryBreak, breaks_in_words
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
@@ -66,6 +67,8 @@ class LogEstimate:
     def __init__(self, mapper: Mapper, log: RecordedLog) -> None:
         self._mapper, self._log = mapper, log
         self._number, self._odometry, self._refused = -1, log.start_pose, 0
+        self._breaks = {each.row: each for each in log.breaks}
+        self._passed: OdometryBreak | None = None
         self.handed_over: int | None = None
         config = mapper.config
         if log.odometry is not None and config.smoothing is not None:
@@ -82,7 +85,10 @@ class LogEstimate:
         graph.
         """
         if self._graph is None or self.handed_over is None:
-            return self._mapper.statuses[0]
+            found = self._mapper.statuses[0]
+            if self._passed is None or found.level != "ok":
+                return found
+            return Status("unsure", breaks_in_words((self._passed,)))
         std = self._graph.position_std
         return (
             Status("unsure", f"the position in the map may be {std:.1f} m off")
@@ -115,14 +121,22 @@ class LogEstimate:
                 np.count_nonzero(~(np.asarray(observation.get("ranges", ())) >= 0.0))
             )
         self._number += 1
+        passed = self._breaks.get(self._number)
+        self._passed = passed or self._passed
         if graph is not None:
             begin, data, number = time.perf_counter(), self._data, self._number
             graph.step(
-                float(data.time[number]), self._odometry, data.ranges[number], data.hit[number]
+                float(data.time[number]),
+                self._odometry,
+                data.ranges[number],
+                data.hit[number],
+                None if passed is None else passed.stds,
             )
             job = graph.job_ms
             spent += 1e3 * (time.perf_counter() - begin) - job
-            if self.handed_over is None and is_handed_over(self._log, mapper.config, self.status):
+            # The filter does not find its place again after a motion that nobody knows.
+            is_lost = passed is not None or is_handed_over(self._log, mapper.config, self.status)
+            if self.handed_over is None and is_lost:
                 self.handed_over = number
         if graph is None or self.handed_over is None:
             pose, covariance = mapper.slam.pose, mapper.covariances[0]

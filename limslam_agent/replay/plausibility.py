@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
+from limslam_agent.logs.odometry_breaks import breaks_in_words, odometry_breaks
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.replay.misreading import Misreading
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 
@@ -20,12 +21,10 @@ _SHORTEST_PERIOD, _LONGEST_PERIOD = (
 )  # s: median times between events beyond them are probably not in seconds
 # of the longest range: a smaller largest reading was probably cut off by the sensor itself
 _CLEARLY_BELOW = 0.85
-# Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range
-# right after a reading of something farther away, without a reason that all of them have.
+# Up to this share of readings may see nothing without a reason that all of them have.
 _BY_CHANCE = 0.01
-# Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than
-# this: otherwise the path between the rows is not known, or the sensor reports 0 where it sees
-# nothing.
+# Between two rows no wheel travels farther than this, m: otherwise the path between the rows is not
+# known.
 _LARGEST_STEP = 0.5
 _LEAST_DRIVEN = 1.0  # m of driving, below which walls cannot be expected
 # m/s: a robot that is faster on average has odometry in another unit, or times in another unit
@@ -46,19 +45,19 @@ _LEAST_SPREAD = (
 )
 
 
-def log_warnings(log: RecordedLog) -> list[str]:
+def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each
     finding.
+
+    ``misreading`` is what `limslam_agent.replay.misreading.misread` has found.
     """
     about_clock = _about_clock(log)
     about_odometry = [] if about_clock else _about_odometry(log)
-    about_ranges = [
-        *_about_ranges(log),
-        *_about_zeros(log),
-        *_about_negatives(log),
-        *_about_beams(log),
-    ]
-    return [*log.notes, *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
+    if misreading is not None and not (about_clock or about_odometry):
+        about_odometry = [misreading.words]
+    about_ranges = [*log.readings_notes, *_about_ranges(log), *_about_beams(log)]
+    about_breaks = [*_about_breaks(log), *_about_gaps(log)]
+    return [*log.notes, *about_clock, *about_breaks, *about_ranges, *about_odometry]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -88,9 +87,18 @@ def _about_clock(log: RecordedLog) -> list[str]:
     ]
 
 
+def _about_breaks(log: RecordedLog) -> list[str]:
+    return [breaks_in_words(log.breaks)] if log.breaks else []
+
+
 def _about_gaps(log: RecordedLog) -> list[str]:
     if log.wheels is None:
         return []
+    start = np.zeros(3)
+    path = np.vstack((start, se2.driven(log.wheels[1:], log.robot.axle, start)))
+    lost = [each for each in odometry_breaks(log.time, path) if not each.is_jump]
+    remedy = "counters, with --accumulated, count on while rows are missing"
+    found = [f"{breaks_in_words(lost)}; {remedy}"] if lost else []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
     (rows,) = np.nonzero(travel > _LARGEST_STEP)
     gaps = [
@@ -99,7 +107,9 @@ def _about_gaps(log: RecordedLog) -> list[str]:
     ]
     more = ", ..." if len(gaps) > _MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
-    return [f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}"] if gaps else []
+    if gaps:
+        found.append(f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}")
+    return found
 
 
 def _about_ranges(log: RecordedLog) -> list[str]:
@@ -122,34 +132,6 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
         return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
     return []
-
-
-def _about_negatives(log: RecordedLog) -> list[str]:
-    share = log.negative / max(log.ranges.size, 1)
-    if share <= _BY_CHANCE:
-        return []
-    text = (
-        f"{share:.0%} of the readings are negative and were skipped: if the sensors report them "
-        "where they see"
-    )
-    return [f"{text} nothing, --zero-is-nothing reads them in a table as that"]
-
-
-def _about_zeros(log: RecordedLog) -> list[str]:
-    readings, nearest = log.ranges[log.has_scan].astype(np.float64), log.robot.too_near
-    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + _LARGEST_STEP)
-    share = float(sudden.mean()) if sudden.size else 0.0
-    if share <= _BY_CHANCE:
-        return []
-    text = (
-        f"{share:.1%} of the readings jump from more than {_LARGEST_STEP:g} m to the beam's "
-        "shortest range or to 0"
-    )
-    remedy = (
-        "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be "
-        "changed"
-    )
-    return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
 
 def _about_beams(log: RecordedLog) -> list[str]:
@@ -189,9 +171,10 @@ def _about_beams(log: RecordedLog) -> list[str]:
 
 
 def _about_odometry(log: RecordedLog) -> list[str]:
-    if log.odometry is None:
+    odometry = log.continuous_odometry
+    if odometry is None:
         return [] if log.wheels is None else _about_wheels(log, log.wheels)
-    reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
+    reach = float(np.hypot(*np.ptp(odometry[:, :2], axis=0)))
     if reach < _LEAST_DRIVEN:
         spread = _spread(log)
         if spread < _LEAST_SPREAD:
@@ -201,17 +184,17 @@ def _about_odometry(log: RecordedLog) -> list[str]:
             f"{spread:.2f} m"
         )
         return [f"{text}: is odometry missing, or not in metres?"]
-    driven = float(np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum())
+    driven = float(np.hypot(*np.diff(odometry[:, :2], axis=0).T).sum())
     speed = driven / max(float(np.ptp(log.time)), 1e-9)
     if speed > _FASTEST:
         return [
             f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"
         ]
-    per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
-    if per_metre > _MOST_TURNS and _alignment(log.odometry) < _LEAST_ALIGNED:
+    per_metre = float(np.abs(se2.wrap_angle(np.diff(odometry[:, 2]))).sum()) / driven
+    if per_metre > _MOST_TURNS and _alignment(odometry) < _LEAST_ALIGNED:
         turns = f"by odometry the robot turns by {per_metre:.1f} rad on each metre"
         return [f"{turns}: is its heading in radians?"]
-    return _misread(log, log.odometry)
+    return []
 
 
 def _alignment(odometry: FloatArray) -> float:
@@ -251,23 +234,7 @@ def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
         travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
         question = f"is its encoder connected, and is {still} its column?"
         return [f"the {still} wheel never moves, {travel}: {question}"]
-    return _misread(log, _path(wheels, log.robot.axle), by_wheels=True)
-
-
-def _path(wheels: FloatArray, axle: float) -> FloatArray:
-    """The poses (n, 3) by wheel travel (n, 2), m, alone. What was travelled before the first row
-    says nothing.
-    """
-    start = np.zeros(3)
-    return np.vstack((start, se2.driven(wheels[1:], axle, start)))
-
-
-def _misread(log: RecordedLog, odometry: FloatArray, *, by_wheels: bool = False) -> list[str]:
-    from limslam_agent.replay.misreading import misread
-    from limslam_agent.replay.smoothing import log_data
-
-    found = misread(log_data(log, odometry, 0.0), GraphConfig(), by_wheels=by_wheels)
-    return [found] if found else []
+    return []
 
 
 def _spread(log: RecordedLog) -> float:

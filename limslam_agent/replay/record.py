@@ -13,7 +13,7 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.motion import Calibration, HeadingCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
@@ -31,20 +31,30 @@ class SelfCalibration:
     Attributes
     ----------
     factors, covariance
-        Errors of wheels and axle, and their covariance (3, 3).
+        Errors of wheels and axle, or of wheels and heading, and their covariance (3, 3).
     axle
         Axle of the robot's description, m.
     """
 
-    factors: OdometryCalibration
+    factors: Calibration
     covariance: FloatArray
     axle: float
 
     @property
     def figures(self) -> dict[str, float]:
         """Values for ``result.json``: missing turn per metre, size of the wheels and of the axle,
-        with standard deviations.
+        or size of the wheels, scale and drift of the heading, with standard deviations.
         """
+        if isinstance(self.factors, HeadingCalibration):
+            stds = HeadingCalibration(*np.sqrt(np.diag(self.covariance)).tolist())
+            return {
+                "self_calibration_scale": 1.0 + self.factors.size,
+                "self_calibration_scale_std": stds.size,
+                "self_calibration_yaw_scale": 1.0 + self.factors.scale,
+                "self_calibration_yaw_scale_std": stds.scale,
+                "self_calibration_yaw_drift_deg_per_s": math.degrees(self.factors.drift),
+                "self_calibration_yaw_drift_std_deg_per_s": math.degrees(stds.drift),
+            }
         turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
         values = np.array(self.factors)
         return {
@@ -61,6 +71,12 @@ class SelfCalibration:
     @property
     def words(self) -> str:
         """One line for the screen."""
+        if isinstance(self.factors, HeadingCalibration):
+            scale, scale_std, _, _, drift, drift_std = self.figures.values()
+            return (
+                f"heading of the IMU: drift {drift:.3f} +- {drift_std:.3f} deg/s, scale of the "
+                f"wheels {scale:.4f} +- {scale_std:.4f}, by the filter itself"
+            )
         turn, turn_std, scale, scale_std, *_ = self.figures.values()
         return (
             f"{turn:.3f} +- {turn_std:.3f} deg/m, scale {scale:.4f} +- {scale_std:.4f}, by the "

@@ -71,7 +71,7 @@ def replay_log(
         landmarks=slam.landmarks,
         segments=slam.segments,
         grid=mapper.grid,
-        refused_readings=estimate.refused_readings,
+        refused_readings=estimate.refused_readings - log.repeated,
         self_calibration=slam.odometry_calibration
         and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
         wall_clock=time.perf_counter() - begin,

@@ -118,7 +118,16 @@ def log_data(log: RecordedLog, odometry: FloatArray, range_std: float) -> LogDat
     hit = log.has_scan[:, None] & (ranges > robot.too_near) & (ranges < robot.too_far)
     reach = float(robot.max_ranges.max())
     return LogData(
-        log.time, odometry, ranges, hit, robot.beam_origins, robot.beam_angles, reach, range_std
+        log.time,
+        odometry,
+        ranges,
+        hit,
+        robot.beam_origins,
+        robot.beam_angles,
+        reach,
+        range_std,
+        np.array([each.row for each in log.breaks], dtype=np.int64),
+        np.array([each.stds for each in log.breaks]).reshape(-1, 3),
     )
 
 
@@ -183,6 +192,7 @@ def smoothed_by_lines(
         breaks=tuple((0, step) for step in places.breaks),
         slips=tuple((0, *part) for part in places.slips),
         sensor=replay.sensor,
+        yaw=None if log.yaw is None else log.yaw[:, None],
     )
     found = smooth_run(run, config, placed)
     if found is None:
@@ -199,9 +209,8 @@ def smoothed_by_lines(
         status = places.doubt
     seconds = time.process_time() - begin
     basis = run.synchronous.until(placed)
-    smoothed = Smoothed(
-        poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis
-    )
+    figures = _line_figures(found, has_heading=run.has_headings)
+    smoothed = Smoothed(poses, figures, None, seconds, found.covariances[:, 0], status, basis)
     grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed
@@ -226,17 +235,23 @@ def draw_grid(
     return grid.view
 
 
-def _line_figures(found: SmoothedRun) -> dict[str, Any]:
-    left, right, axle, bias = np.zeros(4) if found.calibration is None else found.calibration[0]
-    sizes = {
-        "smoothed_left_wheel": 1.0 + left,
-        "smoothed_right_wheel": 1.0 + right,
-        "smoothed_axle": 1.0 + axle,
-    }
-    return {
-        **{name: float(value) for name, value in sizes.items()},
-        "smoothed_range_bias_m": float(bias),
-    }
+def _line_figures(found: SmoothedRun, *, has_heading: bool) -> dict[str, Any]:
+    *errors, bias = [0.0] * 4 if found.calibration is None else found.calibration[0].tolist()
+    if has_heading:
+        size, scale, drift = errors
+        figures = {
+            "smoothed_wheels": 1.0 + size,
+            "smoothed_yaw_scale": 1.0 + scale,
+            "smoothed_yaw_drift_deg_per_s": math.degrees(drift),
+        }
+    else:
+        left, right, axle = errors
+        figures = {
+            "smoothed_left_wheel": 1.0 + left,
+            "smoothed_right_wheel": 1.0 + right,
+            "smoothed_axle": 1.0 + axle,
+        }
+    return {**figures, "smoothed_range_bias_m": bias}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:

@@ -13,6 +13,8 @@ seen.
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.posterior import position_std
@@ -30,6 +32,7 @@ MOST_STD = 0.6
 wrong.
 """
 
+_LEAST_TIES = 2  # loops that span a break of odometry: a single one may be wrong
 _ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, none is contradicted
 
 
@@ -50,6 +53,8 @@ class PathSignals:
     # Times around which other visits contradict more than they confirm, s from the beginning of the
     # log
     doubtful_times: tuple[float, ...] = ()
+    # Times of breaks of odometry that too few loops span, s from the beginning of the log
+    untied: tuple[float, ...] = ()
 
     @property
     def points_per_metre(self) -> float:
@@ -65,6 +70,12 @@ class PathSignals:
     def status(self) -> Status:
         """``ok``, or ``unsure`` with the reasons."""
         reasons = []
+        if self.untied:
+            times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
+            reasons.append(
+                f"odometry jumps or has a gap at {times} s, and too few places that were seen "
+                "before and after it tie both parts together"
+            )
         if not self.confirmed:
             reasons.append("no other visit of a place confirms what was seen")
         if self.contradicted_share > MOST_CONTRADICTED:
@@ -141,7 +152,17 @@ def path_signals(
         position_std=position_std(keys, trajectory, found.relations, config, sensor[1]),
         loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
         doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
+        untied=tuple(times[_untied(keys.breaks[keys.breaks != seam], found.relations[0])].tolist()),
     )
+
+
+def _untied(breaks: IntArray, ends: IntArray) -> IntArray:
+    """The breaks (k,), key poses, that fewer than ``_LEAST_TIES`` loops with the ends (f, 2)
+    span.
+    """
+    first, last = np.sort(ends, axis=1).T
+    ties = (first < breaks[:, None]) & (breaks[:, None] <= last)
+    return np.asarray(breaks[ties.sum(axis=1) < _LEAST_TIES])
 
 
 def longest_loose(travel: FloatArray, ends: IntArray) -> tuple[int, int]:

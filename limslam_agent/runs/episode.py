@@ -22,6 +22,7 @@ from limslam_agent.runs.policies import TOUR, Tour, policies_by_belief
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.status.status import LEVELS
 from limslam_env.bounds import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -71,38 +72,49 @@ def run_episode(
         recorded: a fault.
     """
     with naming_lines_of(config.policy):
-        world = load_world(config.world)
-        env = LimSlamParallelEnv(
-            world,
-            num_robots=config.robots,
-            robot=config.robot,
-            noise=replace(config.true_noise, sensor_noise=config.noise),
-            coverage_goal=None,
-            max_cycles=None,
-            render_mode=render_mode,
-        )
-        team = team_of(config, policies_of(config, world) if policies is None else policies)
-        clock = time.perf_counter()
-        rows = _drive(config, env, team, watch, alter)
-        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-        return Episode(
-            config=config,
-            world=world,
-            associations=team.slam.associations,
-            closures=list(team.slam.closures),
-            calibrations=team.slam.odometry_calibrations,
-            places=team.mapper.places,
-            in_prior_map=team.mapper.prior_frame is not None,
-            snapshot=team.snapshot(),
-            coverage_grid=env.coverage_grid,
-            stop_reason=_stop_reason(config, world, team.stop_reason),
-            is_finished=team.done,
-            wall_clock=time.perf_counter() - clock,
-            is_joined=not team.mapper.is_apart,
-            sensor=team.slam.sensor,
-            beam_turns=team.slam.beam_turns,
-            **_in_one_frame(columns, team.mapper),
-        )
+        return _episode(config, watch, render_mode, policies, alter)
+
+
+def _episode(
+    config: RunConfig,
+    watch: Watcher | None,
+    render_mode: str | None,
+    policies: Sequence[Policy] | None,
+    alter: Callable[[Observation, float], Observation] | None,
+) -> Episode:
+    world = load_world(config.world)
+    env = LimSlamParallelEnv(
+        world,
+        num_robots=config.robots,
+        robot=config.robot,
+        noise=replace(config.true_noise, sensor_noise=config.noise),
+        imu=config.imu,
+        coverage_goal=None,
+        max_cycles=None,
+        render_mode=render_mode,
+    )
+    team = team_of(config, policies_of(config, world) if policies is None else policies)
+    clock = time.perf_counter()
+    rows = _drive(config, env, team, watch, alter)
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+    return Episode(
+        config=config,
+        world=world,
+        associations=team.slam.associations,
+        closures=list(team.slam.closures),
+        calibrations=team.slam.odometry_calibrations,
+        places=team.mapper.places,
+        in_prior_map=team.mapper.prior_frame is not None,
+        snapshot=team.snapshot(),
+        coverage_grid=env.coverage_grid,
+        stop_reason=_stop_reason(config, world, team.stop_reason),
+        is_finished=team.done,
+        wall_clock=time.perf_counter() - clock,
+        is_joined=not team.mapper.is_apart,
+        sensor=team.slam.sensor,
+        beam_turns=team.slam.beam_turns,
+        **_in_one_frame(columns, team.mapper),
+    )
 
 
 def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
@@ -237,6 +249,7 @@ def _decide(
         "contact": np.array([info["collision"] for info in infos]),
         "ranges": np.array([observation["ranges"] for observation in observations]),
         "wheels": np.array([observation["wheels"] for observation in observations]),
+        "yaw": np.array([yaw_of(observation) for observation in observations]),
         "actions": np.array(actions),
         "estimated": mapper.poses,
         "covariances": mapper.covariances,

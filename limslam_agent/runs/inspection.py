@@ -29,7 +29,7 @@ from limslam_agent.runs.policy_file import is_file_policy
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.safe_files import read_limited
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import Observation, RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 
 Progress = Callable[[int], None]
@@ -71,9 +71,13 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
     team.reset(told_starts(config, true[0]), config.seed)
     recorder = Recorder(team.mapper, len(run.time))
     for row, (ranges, wheels) in enumerate(zip(readings.ranges, readings.wheels, strict=True)):
-        team.observe(
-            [{"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)]
-        )
+        observed: list[Observation] = [
+            {"ranges": seen, "wheels": moved} for seen, moved in zip(ranges, wheels, strict=True)
+        ]
+        if readings.yaw is not None:
+            for observation, yaw in zip(observed, readings.yaw[row].tolist(), strict=True):
+                observation["yaw"] = yaw
+        team.observe(observed)
         if is_repeated:
             team.decide()
         recorder.note(

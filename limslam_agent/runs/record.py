@@ -16,7 +16,7 @@ from limslam_agent.readings import as_readings
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.diagnostics import Closure
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.motion import Calibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -51,6 +51,7 @@ class Episode:
     # Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m
     ranges: FloatArray
     wheels: FloatArray
+    yaw: FloatArray  # headings (t, n) by inertial measurement units, rad; NaN without such units
     # answer to each observation (t, n, 2). The action of a row leads to the next row.
     actions: FloatArray
     # Poses (t, n, 3): the truth, the estimate, and odometry alone
@@ -72,7 +73,7 @@ class Episode:
     closures: list[Closure]
     # Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was
     # needed
-    calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
+    calibrations: list[tuple[Calibration, FloatArray] | None]
     places: PlaceHistory  # what happened when the robot was lost
     # Whether the robot's place in an earlier map was found. The poses are in the frame of that map
     # then.
@@ -152,6 +153,7 @@ class Episode:
             breaks=tuple((0, step) for step in places.breaks),
             slips=tuple((0, *part) for part in places.slips),
             sensor=self.sensor,
+            yaw=self.yaw if self.config.imu else None,
         )
         if self.config.unknown_starts:
             return smooth_with_unknown_start(run, settings)

@@ -356,6 +356,7 @@ def _config(episode: Episode) -> dict[str, Any]:
         "kidnap_at": config.kidnap_at,
         "map": config.prior_map and str(config.prior_map),
         "unknown_starts": config.unknown_starts,
+        "imu": config.imu,
         "robot": asdict(config.robot),
         "agent": asdict(config.agent),
     }
@@ -372,7 +373,10 @@ def _record(episode: Episode) -> dict[str, Any]:
         "places": place_records(episode.time, episode.places.records),
         "sensor": sensor and sensor.found(specified, config.robot.control_period),
         "beam_turns": turn_records(episode.beam_turns),
-        "calibration": [found and calibration_record(*found) for found in episode.calibrations],
+        "calibration": [
+            found and calibration_record(found[0]._asdict(), found[1])
+            for found in episode.calibrations
+        ],
     }
 
 
@@ -384,6 +388,8 @@ def _write_log(path: Path, episode: Episode) -> None:
         "true_pose": episode.true,
         "wall_seen": episode.wall_seen,
     }
+    if episode.config.imu:
+        arrays["yaw"] = episode.yaw
     if episode.config.robots == 1:
         arrays = {name: array[:, 0] for name, array in arrays.items()}
     write_npz(

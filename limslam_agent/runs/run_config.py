@@ -65,6 +65,7 @@ class RunConfig:
     kidnap_at: float | None = None
     prior_map: Path | None = None
     unknown_starts: bool = False
+    imu: bool = False
     driver: str = ""
 
     def __post_init__(self) -> None:

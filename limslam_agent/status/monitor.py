@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
 from limslam_agent.status.rays import STEPS, Sight, rays_of
@@ -101,14 +102,8 @@ class StatusMonitor:
             0,
         )  # the latest steps, and the number of the first of them
         self._changes = SuddenChanges(robot)
-        # The reading of each beam that has not changed since, how often it was read, and the least
-        # and the largest heading since then.
-        self._turned, beams = 0.0, len(robot.beams)
-        self._steady, self._times, self._headings = (
-            np.full(beams, math.nan),
-            np.zeros(beams),
-            np.zeros((2, beams)),
-        )
+        self._steady = np.zeros((STEADY, len(robot.beams)))
+        self._steady[READING] = math.nan
         self.jump, self._driven = 0.0, 0.0
         self.loss: Loss | None = None
         self.broken: int | None = None
@@ -131,6 +126,8 @@ class StatusMonitor:
         due
             Whether :meth:`check` is to be called now.
         """
+        from limslam_agent.kernels.readings import compare_with_before
+
         x, y, turn = sight.motion.tolist()
         distance = math.hypot(x, y)
         is_jump = distance > _MAX_JUMP
@@ -138,18 +135,9 @@ class StatusMonitor:
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
         self._sights.append(sight)
-        self._turned += turn
         # No wall is read with so little noise.
-        is_same = np.abs(sight.ranges - self._steady) < 0.5 * self.sensor.std
-        is_same &= (sight.ranges >= self._robot.too_far) == (self._steady >= self._robot.too_far)
-        has_changed = np.isfinite(sight.ranges) & ~is_same
-        self._steady[has_changed], self._headings[:, has_changed] = (
-            sight.ranges[has_changed],
-            self._turned,
-        )
-        self._times = np.where(has_changed, 0.0, self._times + np.isfinite(sight.ranges))
-        self._headings[0] = np.minimum(self._headings[0], self._turned)
-        self._headings[1] = np.maximum(self._headings[1], self._turned)
+        limit = 0.5 * self.sensor.std
+        compare_with_before(sight.ranges, self._robot.too_far, limit, turn, self._steady)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
         return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
@@ -195,13 +183,18 @@ class StatusMonitor:
 
         There may be nothing to see all around, so a beam that sees nothing must contradict the map.
         """
-        is_steady = np.isfinite(self._steady) & (np.ptp(self._headings, axis=0) > 0.5 * math.pi)
+        steady, turned = (
+            self._steady[READING],
+            self._steady[MOST_TURNED] - self._steady[LEAST_TURNED],
+        )
+        is_steady = np.isfinite(steady) & (turned > 0.5 * math.pi)
         is_steady[list(self.sensor.broken)] = False
         if is_steady.all():
             return None
         for beam in np.flatnonzero(is_steady).tolist():
-            is_stuck = self._robot.too_near[beam] < self._steady[beam] < self._robot.too_far[beam]
-            if is_stuck or (self._times[beam] > BLIND and self._contradicts(beam, present)):
+            is_stuck = self._robot.too_near[beam] < steady[beam] < self._robot.too_far[beam]
+            times = self._steady[TIMES, beam]
+            if is_stuck or (times > BLIND and self._contradicts(beam, present)):
                 return beam
         return None
 

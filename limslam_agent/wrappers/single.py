@@ -3,7 +3,7 @@ readings.
 """
 
 from collections.abc import Sequence
-from typing import Any, SupportsFloat, TypeAlias
+from typing import Any, SupportsFloat, TypeAlias, cast
 
 import gymnasium as gym
 import numpy as np
@@ -18,6 +18,9 @@ from limslam_agent.mapping.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
+from limslam_env.interface import Observation as Readings
+
+_READINGS = ("ranges", "wheels", "yaw")
 
 Observation: TypeAlias = dict[str, Any]
 
@@ -116,7 +119,8 @@ class SlamObservation(
         return self._mapper.belief
 
     def _believed(self, observation: Observation) -> Observation:
-        self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
+        known = {name: observation[name] for name in _READINGS if name in observation}
+        self._mapper.step(cast(Readings, known))
         return observed_belief(self._mapper.belief, self._start, observation["ranges"], self._size)
 
     def _with_status(self, info: Any) -> dict[str, Any]:

@@ -41,11 +41,16 @@ def action_space() -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
-def observation_space(robot: RobotSpec) -> spaces.Dict:
-    """Ranges and wheel travel of a robot, m."""
+def observation_space(robot: RobotSpec, *, imu: bool = False) -> spaces.Dict:
+    """Ranges and wheel travel of a robot, m, and its heading by an inertial measurement unit, rad,
+    if it has one.
+    """
     limit = np.full(2, robot.max_wheel_travel, dtype=np.float32)
     ranges = spaces.Box(robot.min_ranges.astype(np.float32), robot.max_ranges.astype(np.float32))
-    return spaces.Dict({"ranges": ranges, "wheels": spaces.Box(-limit, limit)})
+    known: dict[str, spaces.Space[Any]] = {"ranges": ranges, "wheels": spaces.Box(-limit, limit)}
+    if imu:
+        known["yaw"] = spaces.Box(-np.float32(np.pi), np.float32(np.pi), (1,), np.float32)
+    return spaces.Dict(known)
 
 
 def wheel_speeds(action: Action) -> tuple[float, float]:
@@ -67,7 +72,10 @@ def wheel_speeds(action: Action) -> tuple[float, float]:
 
 def observation_of(readings: Any, which: Any) -> Any:
     """The observation of the robot at an index ``which`` of the readings."""
-    return {"ranges": readings.ranges[which], "wheels": readings.wheels[which]}
+    found = {"ranges": readings.ranges[which], "wheels": readings.wheels[which]}
+    if isinstance(readings, Readings) and readings.yaw is not None:
+        found["yaw"] = readings.yaw[which]
+    return found
 
 
 def info_of(truth: Any, which: Any) -> dict[str, Any]:
@@ -118,7 +126,8 @@ class Configured:
         deviation cannot describe (dropouts, slip, unequal wheels and so on) is not part of it.
         """
         wheel_variance = max(bounds_of(self.noise.wheel_variance)[1], NominalNoise().wheel_variance)
-        return NominalNoise(bounds_of(self.noise.sensor_noise)[1], wheel_variance)
+        yaw_std = max(bounds_of(self.noise.yaw_std)[1], NominalNoise().yaw_std)
+        return NominalNoise(bounds_of(self.noise.sensor_noise)[1], wheel_variance, yaw_std)
 
 
 class NamedRobots:
@@ -159,15 +168,26 @@ class NamedRobots:
 class SimulationEnv(Configured):
     """Base of the single environments: their simulation and its pictures, and all methods but reset
     and step.
+
+    Attributes
+    ----------
+    has_imu
+        Whether the robots observe their heading.
     """
 
     render_mode: str | None
 
     def _set_up(
-        self, world: PlaceSource, num_robots: int, render_mode: str | None, **arguments: Any
+        self,
+        world: PlaceSource,
+        num_robots: int,
+        render_mode: str | None,
+        *,
+        imu: bool,
+        **arguments: Any,
     ) -> None:
         """Take an environment's arguments; its class documents them and the errors raised."""
-        self.render_mode = render_mode
+        self.render_mode, self.has_imu = render_mode, bool(imu)
         self._painter = Painter(render_mode)
         self._configure(**arguments)
         self._source = FloorPlanConfig() if is_random(world) else world
@@ -256,7 +276,8 @@ class SimulationEnv(Configured):
         entropy = int(generator.integers(2**63))
         start = _starts(asked.get("start"), self._num_robots)
         simulation = self._simulation_for(asked.get("world", self._source), entropy)
-        readings, truth = simulation.reset(np.random.SeedSequence(entropy), self.noise, start)
+        seeds = np.random.SeedSequence(entropy)
+        readings, truth = simulation.reset(seeds, self.noise, start, imu=self.has_imu)
         self._simulation, self._is_running = simulation, True
         self._painter.follow(simulation, readings, truth)
         return readings, truth

@@ -50,6 +50,9 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     | ranges | (n_beams,) | the beams' min_range | the beams' max_range| m    | distance along each beam; max_range without a hit   |
     | wheels | (2,)       | -max_wheel_travel    | max_wheel_travel    | m    | left and right wheel travel since the last step     |
 
+    With `imu=True` there is a third key: `yaw` (1,), from -pi to pi, rad, is the heading by an
+    inertial measurement unit, counter-clockwise, in a frame of its own that drifts.
+
     The default robot's beams point at +90, +45, +15, -15, -45 and -90 degrees and reach from 0.05
     to 1.5 m; `max_wheel_travel` is 0.06 m.
 
@@ -90,7 +93,8 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     | world         | the id's world    | name of an included world, path of a world file, a `World`, or a `FloorPlanConfig` for a random floor plan at each reset (`"random"` for the default settings) |
     | robot         | `RobotSpec()`     | body, wheels and beams                                        |
     | sensor_noise  | None              | standard deviation of the ranges, m, or an interval (low, high) to draw it from at each reset; overrides `noise` |
-    | noise         | `NoiseConfig()`   | noise of the ranges and of the wheels                         |
+    | noise         | `NoiseConfig()`   | noise of the ranges, the wheels and the heading               |
+    | imu           | False             | whether the heading is observed, as `yaw`                     |
     | coverage_goal | 0.99              | see Episode End                                               |
     | rewards       | `RewardConfig()`  | see Rewards                                                   |
     | render_mode   | None              | `"rgb_array"` draws pictures, `"human"` shows them in a window (extra `play`) |
@@ -121,6 +125,7 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
         robot: RobotSpec | None = None,
         sensor_noise: Setting | None = None,
         noise: NoiseConfig | None = None,
+        imu: bool = False,
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         render_mode: str | None = None,
@@ -132,11 +137,12 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
             robot=robot,
             sensor_noise=sensor_noise,
             noise=noise,
+            imu=imu,
             coverage_goal=coverage_goal,
             rewards=rewards,
         )
         self.action_space = action_space()  # type: ignore[assignment]
-        self.observation_space = observation_space(self.robot)  # type: ignore[assignment]
+        self.observation_space = observation_space(self.robot, imu=imu)  # type: ignore[assignment]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -59,6 +59,7 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
     | robot         | `RobotSpec()`     | body, wheels and beams of each                              |
     | sensor_noise  | None              | as for `LimSlamEnv`                                         |
     | noise         | `NoiseConfig()`   | noise of the ranges and wheels; values drawn from intervals are the same for all robots |
+    | imu           | False             | as for `LimSlamEnv`                                         |
     | coverage_goal | 0.99              | see Episode End                                             |
     | rewards       | `RewardConfig()`  | see Rewards                                                 |
     | shared_reward | False             | see Rewards                                                 |
@@ -88,6 +89,7 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         robot: RobotSpec | None = None,
         sensor_noise: Setting | None = None,
         noise: NoiseConfig | None = None,
+        imu: bool = False,
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         shared_reward: bool = False,
@@ -104,12 +106,13 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
             robot=robot,
             sensor_noise=sensor_noise,
             noise=noise,
+            imu=imu,
             coverage_goal=coverage_goal,
             rewards=rewards,
         )
         self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
         self._generator: np.random.Generator | None = None
-        self._name(num_robots, lambda: observation_space(self.robot), action_space)
+        self._name(num_robots, lambda: observation_space(self.robot, imu=imu), action_space)
         self.agents: list[str] = []
 
     def reset(

@@ -46,16 +46,16 @@ def check_number(what: str, value: Any, low: float, high: float, unit: str = "")
         raise ValueError(f"{what} must be a number from {limits}, not {value}{asked}")
 
 
-def check_count(what: str, value: Any, high: int) -> None:
-    """Refuse what is not a whole number from 1 to ``high``. Raises a ValueError as
+def check_count(what: str, value: Any, high: int, *, least: int = 1) -> None:
+    """Refuse what is not a whole number from ``least`` to ``high``. Raises a ValueError as
     :func:`check_number` does.
     """
     try:
-        is_allowed = not isinstance(value, bool) and 1 <= operator.index(value) <= high
+        is_allowed = not isinstance(value, bool) and least <= operator.index(value) <= high
     except TypeError:
         is_allowed = False
     if not is_allowed:
-        raise ValueError(f"{what} must be a whole number from 1 to {high}, not {value}")
+        raise ValueError(f"{what} must be a whole number from {least} to {high}, not {value}")
 
 
 def check_poses(what: str, poses: FloatArray) -> None:

@@ -25,7 +25,7 @@ class Robots(NamedTuple):
     control_period
         Duration of a step, s.
     beams, fan
-        (n_beams, 11), see :mod:`limslam_env.kernels.readings`; and (8, lanes), as :func:`fan_of`
+        (n_beams, 12), see :mod:`limslam_env.kernels.readings`; and (8, lanes), as :func:`fan_of`
         makes it of them.
     is_small
         Whether :func:`limslam_env.kernels.batch_rays.find_unseen` can look at the body and at the
@@ -243,7 +243,7 @@ def lanes_for(num_beams: int) -> int:
 
 
 def fan_of(beams: FloatArray, radius: float) -> FloatArray:
-    """The beams (n_beams, 11) lane by lane, and in the other lanes a ray in the diagonal of a
+    """The beams (n_beams, 12) lane by lane, and in the other lanes a ray in the diagonal of a
     body's box.
 
     Rows (8, lanes): origin x and y (m) in the robot's frame, how far before it the ray starts, and

@@ -88,7 +88,7 @@ def drive_and_observe(
         How far the wheels turn (n, 2), m, and the distance (n, 2), m, that they move over the
         ground, which is set.
     radius, beams, noise
-        Of their bodies, m; (n_beams, 11) and (14,), see :mod:`limslam_env.kernels.readings`.
+        Of their bodies, m; (n_beams, 12) and (14,), see :mod:`limslam_env.kernels.readings`.
     seen, coverable, area
         The grid of what has been seen.
     unreported, hits, ranges

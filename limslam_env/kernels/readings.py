@@ -10,13 +10,12 @@ from limslam_env.geometry import FloatArray
 NOTHING, ROBOT = -1, -2
 """What a beam hits that hits no wall."""
 
-FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, _, _, ANGLE, LONGEST_RANGE, OFFSET, SHORTEST_RANGE, PERIOD = (
-    range(11)
-)
-"""Columns of a table of beams (n_beams, 11), of which the first are those of
+FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, _, _, ANGLE, LONGEST_RANGE = range(8)
+OFFSET, SHORTEST_RANGE, PERIOD, PHASE = range(8, 12)
+"""Columns of a table of beams (n_beams, 12), of which the first are those of
 ``RobotSpec.beam_table``: origin (m) and direction as a unit vector in the robot's frame, angle
 (rad), longest reading (m), how far before its origin a ray starts (m), shortest reading (m), and
-period in steps.
+period and phase in steps.
 """
 
 RANGE_STD, STD_GROWTH, DROPOUT, RANGE_RESOLUTION, FOLD_BACK, CONE = range(6)
@@ -38,8 +37,9 @@ NUM_NOISES = 14
 
 @inlined
 def is_due(beams: FloatArray, number: int, step: int) -> bool:
-    """Whether a beam measures in a step."""
-    return beams[number, PERIOD] == 1.0 or step % int(beams[number, PERIOD]) == 0
+    """Whether a beam measures in a step; 0 is the reset, in which all do."""
+    period, phase = beams[number, PERIOD], beams[number, PHASE]
+    return period == 1.0 or step == 0 or step % int(period) == int(phase)
 
 
 @inlined

@@ -57,10 +57,9 @@ def cast(
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
-    """The beams (n_beams, 11) with the columns of :mod:`limslam_env.kernels.readings`."""
+    """The beams (n_beams, 12) with the columns of :mod:`limslam_env.kernels.readings`."""
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
-    periods = [beam.period for beam in robot.beams]
-    return np.column_stack((robot.beam_table, offsets, robot.min_ranges, periods))
+    return np.column_stack((robot.beam_table, offsets, robot.min_ranges, *robot.schedule))
 
 
 def noise_table(values: Mapping[str, Any], robot: RobotSpec) -> FloatArray:

@@ -14,6 +14,7 @@ from limslam_env.interface import RobotSpec
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.readings import TRUE_AXLE
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
+from limslam_env.simulation.imu import Imu
 from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.sensors import StepDraws, beam_table, build_wall_index, noise_table
 from limslam_env.simulation.starts import drawn_starts, starting_places
@@ -26,10 +27,12 @@ class Readings(NamedTuple):
     """The measurements of all robots after a step, in new arrays.
 
     ``ranges`` (n, n_beams) and ``wheels`` (n, 2), left and right wheel travel, are float32, in m.
+    ``yaw`` (n, 1) are headings by inertial measurement units, rad; None without such units.
     """
 
     ranges: ReadingArray
     wheels: ReadingArray
+    yaw: ReadingArray | None = None
 
 
 class Truth(NamedTuple):
@@ -90,24 +93,35 @@ class Simulation:
         return self._physics.poses
 
     def reset(
-        self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
+        self,
+        seeds: np.random.SeedSequence,
+        noise: NoiseConfig,
+        start: FloatArray | None = None,
+        *,
+        imu: bool = False,
     ) -> tuple[Readings, Truth]:
         """Begin again at ``start``, pose (3,) of robot 0 or poses (num_robots, 3), or else at the
         world's starts.
 
-        Start, ranges, wheels and settings get a generator each from the seeds, so that runs with
-        other noise share their starts and their draws. Ranges in ``noise`` are drawn from now.
+        Start, ranges, wheels, settings and headings get a generator each from the seeds, so that
+        runs with other noise share their starts and their draws. Ranges in ``noise`` are drawn from
+        now. With ``imu``, the robots read their headings, too.
 
         Raises
         ------
         WorldError
             If a given start collides, lies outside, or there is no room for all robots.
         """
-        starts, ranges, wheels, settings = (np.random.default_rng(part) for part in seeds.spawn(4))
+        # The fifth seed draws the world of a task.
+        starts, ranges, wheels, settings, _, headings = (
+            np.random.default_rng(part) for part in seeds.spawn(6)
+        )
         robot, count = self.robot, self.num_robots
         places = starting_places(self.world, robot, count, start)
         poses = drawn_starts(places, self.world, robot, count, starts)
-        self._noise = noise_table(vars(noise.drawn(settings)), robot)
+        drawn = noise.drawn(settings)
+        self._noise = noise_table(vars(drawn), robot)
+        self._imu = Imu(headings, drawn, robot.control_period) if imu else None
         self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
         self.coverage_grid = grid = coverage_grid(self.world, robot, poses)
@@ -180,7 +194,8 @@ class Simulation:
         time, coverage = self._steps * self.robot.control_period, self._covered / self._total
         new_area = [cells * _CELL_AREA for cells in new_cells]
         truth = Truth(self._physics.poses, time, coverage, new_area, contact, self._hits.copy())
-        return Readings(self._ranges.copy(), self._reported.copy()), truth
+        yaw = None if self._imu is None else self._imu.read(truth.poses[:, 2])
+        return Readings(self._ranges.copy(), self._reported.copy(), yaw), truth
 
 
 def _clipped(speed: float) -> float:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 from support.bags import odometry, scan, write_bag
+from support.command_line import limslam
+from support.drives import along, drive, ranges_at, room, straight
 
 from limslam_agent import BatchSlam, LimSlamAgent, Mapper, preset, read_log, replay_log
 from limslam_agent.config.presets import GridConfig
@@ -15,7 +17,9 @@ from limslam_agent.dropouts import Dropouts, short_series, without_dropouts
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid, drawn_grid
 from limslam_agent.kernels.readings import sort_readings, weigh_changes
-from limslam_agent.readings import as_readings
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.readings import as_readings, new_repeats
 from limslam_env import NominalNoise, RobotSpec, SensorSpec
 from limslam_env.geometry import BoolArray, FloatArray
 
@@ -156,7 +160,7 @@ def test_readings(seed: int) -> None:
     is_new = generator.random(count) < 0.7
     readings, measured, hits = np.empty(count), is_new.copy(), np.zeros(count, dtype=bool)
     limits = SIX.min_ranges, SIX.max_ranges, SIX.too_near, SIX.too_far
-    refused = sort_readings(values, *limits, readings, measured, hits)
+    refused = sort_readings(values, *limits, 0.0, new_repeats(count), readings, measured, hits)
     expected = as_readings(values, SIX.min_ranges, SIX.max_ranges)
     np.testing.assert_array_equal(readings, expected)
     assert refused == np.count_nonzero(np.isnan(expected))
@@ -164,6 +168,197 @@ def test_readings(seed: int) -> None:
     np.testing.assert_array_equal(
         hits, measured & (expected > SIX.too_near) & (expected < SIX.too_far)
     )
+
+
+# A corridor around a block, with open space beyond the longest range.
+CORRIDOR = np.vstack((room(-0.5, -0.5, 5.5, 3.5), room(0.5, 0.5, 4.5, 2.5)))
+LOOP = [(0.0, 0.0), (5.0, 0.0), (5.0, 3.0), (0.0, 3.0), (0.0, 0.0)]
+START = np.zeros(3)
+
+
+def driven(split: int = 1, noise: float = 0.02) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Readings (n, 6) in whole millimetres, m, wheel travel (n, 2), m, and true poses (n, 3) of a
+    drive, with ``split`` rows in place of each of its steps.
+    """
+    wheels = [(left / split, right / split) for left, right in along(LOOP) for _ in range(split)]
+    observations, poses = drive(CORRIDOR, START, wheels, noise=noise)
+    ranges = np.round([seen["ranges"] for seen in observations], 3)
+    return ranges, np.array([seen["wheels"] for seen in observations]), poses
+
+
+def log_of(ranges: FloatArray, wheels: FloatArray, missing: str = "auto") -> RecordedLog:
+    time, has_scan = 0.1 * np.arange(len(ranges)), np.ones(len(ranges), dtype=bool)
+    return RecordedLog(SIX, time, ranges, has_scan, wheels=wheels, missing=missing)
+
+
+RANGES, WHEELS, POSES = driven()
+SAW_NOTHING = SIX.max_ranges <= RANGES
+
+
+@pytest.mark.parametrize("code", [NAN, -1.0, 0.0, 65.535, 655.35, 65535.0])
+def test_what_is_missing_where_the_readings_end_saw_nothing(code: float) -> None:
+    reported = np.where(SAW_NOTHING, code, RANGES)
+    log = log_of(reported, WHEELS)
+    np.testing.assert_array_equal(log.ranges, RANGES.astype(np.float32))
+    is_as_ever = code > SIX.reach
+    ends = [note.endswith("--missing not-measured leaves them out") for note in log.readings_notes]
+    assert ends == ([] if is_as_ever else [True])
+    told = log.taken("not-measured")
+    np.testing.assert_array_equal(np.isnan(told.ranges), SAW_NOTHING)
+    assert told.readings_notes == ()
+
+
+def test_a_table_with_empty_cells_and_decimal_commas(tmp_path: Path) -> None:
+    lines = ["t;left;right;" + ";".join(f"r_{angle:g}" for angle in (90, 45, 15, -15, -45, -90))]
+    for row, (left, right) in enumerate(WHEELS.tolist()):
+        readings = ["" if value >= 1.5 else f"{value:.3f}" for value in RANGES[row].tolist()]
+        fields = [f"{0.1 * row:.1f}", f"{left:.6f}", f"{right:.6f}", *readings]
+        lines.append(";".join(fields).replace(".", ","))
+    path = tmp_path / "drive.csv"
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    log = read_log(path, table=TableOptions(SIX))
+    np.testing.assert_array_equal(log.ranges, RANGES.astype(np.float32))
+    refused = limslam("replay", path, "--robot", "paper", "--missing", "none")
+    assert refused.returncode == 2
+    assert refused.stderr.endswith(
+        "--missing must be one of auto, nothing, not-measured, not 'none'\n"
+    )
+
+
+def test_beams_that_often_have_no_reading_are_not_left_out() -> None:
+    mapper = Mapper(SIX, preset("consistent", NominalNoise(0.02)), START)
+    for ranges, wheels in zip(np.where(SAW_NOTHING, NAN, RANGES), WHEELS, strict=True):
+        mapper.step({"ranges": ranges, "wheels": wheels})
+    mapper.finish()
+    assert mapper.slam.range_sensor.broken == ()
+    assert np.hypot(*(mapper.poses[0] - POSES[-1])[:2]) < 0.1
+    assert mapper.statuses[0].level == "ok"
+
+
+@pytest.mark.parametrize("code", [NAN, -1.0, 0.0, 65.535])
+def test_what_is_missing_beside_any_reading_was_not_measured(code: float) -> None:
+    is_lost = np.random.default_rng(1).random(RANGES.shape) < 0.1
+    log = log_of(np.where(is_lost, code, RANGES), WHEELS)
+    np.testing.assert_array_equal(log.ranges, np.where(is_lost, np.float32(NAN), RANGES))
+    (note,) = log.readings_notes
+    assert "they stand beside near and far readings alike, so they count as not measured" in note
+    assert note.endswith("--missing nothing takes them for 'nothing seen'")
+    told = log.taken("nothing")
+    np.testing.assert_array_equal(told.ranges, np.where(is_lost, np.float32(1.5), log.ranges))
+
+
+def test_a_wall_that_comes_too_near_is_no_free_space() -> None:
+    # To a wall and back, again and again, nearer than the beams can measure.
+    wheels = [*straight(0.4), *straight(-0.4)] * 6
+    observations, _ = drive(room(-1.0, -1.0, 1.05, 1.0), np.array([0.525, 0.0, 0.0]), wheels)
+    reported = np.array([seen["ranges"] for seen in observations])
+    reported[reported <= SIX.too_near] = 0.0
+    assert (reported == 0.0).mean() > 0.01
+    log = log_of(reported, np.array([seen["wheels"] for seen in observations]))
+    np.testing.assert_array_equal(log.ranges == np.float32(0.05), reported == 0.0)
+    assert log.readings_notes == ()
+
+
+def test_an_unknown_meaning_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"--missing must be one of auto, .* not 'zero'"):
+        log_of(RANGES, WHEELS, "zero")
+
+
+def repeated_rows(kind: str, count: int) -> FloatArray:
+    """The row (n, 6) in which each reading of a log was measured."""
+    rows, beams = np.tile(np.arange(count)[:, None], (1, 6)), np.arange(6)
+    if kind == "held":
+        return rows - rows % 5
+    if kind == "in turn":
+        return np.maximum(rows - (rows - beams) % 6, 0)
+    if kind == "one beam":
+        return np.where(beams == 4, rows - rows % 3, rows)
+    is_new = np.random.default_rng(2).random(count) < 0.4  # irregular
+    return np.maximum.accumulate(np.where(is_new[:, None], rows, 0), axis=0)
+
+
+FAST_RANGES, FAST_WHEELS, FAST_POSES = driven(split=5)
+
+
+@pytest.mark.parametrize("resolution", [0.0, 0.001, 0.01])
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("kind", ["held", "in turn", "one beam", "irregular"])
+def test_repeats_are_found_from_the_readings(kind: str, noise: float, resolution: float) -> None:
+    ranges, wheels, _ = driven(split=3, noise=noise)
+    if resolution:
+        ranges = np.round(ranges / resolution) * resolution
+    rows = repeated_rows(kind, len(ranges))
+    ranges = ranges[rows, np.arange(6)]
+    log = log_of(ranges, wheels)
+    is_repeat, is_wall = rows != np.arange(len(rows))[:, None], ranges < 1.45
+    used = ~np.isnan(log.ranges)
+    assert used[1:][ranges[1:] != ranges[:-1]].all()
+    # A reading that does not change for long is used again from time to time.
+    assert used[is_repeat & is_wall].mean() < (0.05 if noise else 0.3)
+    if kind == "one beam":
+        assert used[:, np.arange(6) != 4].all()
+    (note,) = log.readings_notes
+    assert note.startswith("each reading") == (kind != "one beam") or "beams at -45 deg" in note
+    assert replay_log(log, preset("paper")).refused_readings == 0
+
+
+def coarse(step: float, split: int, noise: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    ranges, wheels, _ = driven(split, noise)
+    return np.round(ranges / step) * step, wheels
+
+
+def stuck() -> tuple[FloatArray, FloatArray]:
+    ranges = RANGES.copy()
+    ranges[:, 3] = 0.7
+    return ranges, WHEELS
+
+
+def standing() -> tuple[FloatArray, FloatArray]:
+    seen = ranges_at(START, CORRIDOR) + 0.004 * np.random.default_rng(3).normal(size=(600, 6))
+    return np.round(seen, 2), np.zeros((600, 2))
+
+
+@pytest.mark.parametrize(
+    ("ranges", "wheels"),
+    [
+        driven(noise=0.0)[:2],
+        driven(split=5, noise=0.0)[:2],
+        coarse(0.01, 1),
+        coarse(0.01, 5),
+        coarse(0.02, 5),
+        coarse(0.01, 1, 0.02),
+        coarse(0.01, 5, 0.01),
+        stuck(),
+        standing(),
+    ],
+)
+def test_other_equal_readings_are_no_repeats(ranges: FloatArray, wheels: FloatArray) -> None:
+    log = log_of(ranges, wheels)
+    assert log.repeated == 0
+    assert log.readings_notes == ()
+
+
+@pytest.mark.parametrize("kind", ["held", "in turn"])
+def test_a_mapper_uses_each_reading_once(kind: str) -> None:
+    rows = repeated_rows(kind, len(FAST_RANGES))
+    ranges = FAST_RANGES[rows, np.arange(6)]
+    robot = dataclasses.replace(SIX, control_period=0.02)
+    mapper = Mapper(robot, preset("consistent", NominalNoise(0.02)), START)
+    used, off = np.zeros(ranges.shape, dtype=bool), []
+    for row in range(len(ranges)):
+        mapper.step({"ranges": ranges[row], "wheels": FAST_WHEELS[row]})
+        used[row] = mapper.slam.measured
+        off.append(np.hypot(*(mapper.slam.pose - FAST_POSES[row])[:2]))
+    mapper.finish()
+    assert all(mapper.slam.robots[0].holds)
+    late = slice(500, None)
+    is_wall, is_repeat = ranges[late] < 1.45, (rows != np.arange(len(rows))[:, None])[late]
+    assert used[late][is_wall & is_repeat].mean() < 0.02
+    assert used[late][is_wall & ~is_repeat].mean() > 0.95
+    assert mapper.slam.refused_readings == 0
+    assert max(off) < 0.1
+    assert len(mapper.slam.segments) == 8
+    assert mapper.statuses[0].level == "ok"
 
 
 def density(off: FloatArray, std: FloatArray) -> FloatArray:

@@ -193,6 +193,14 @@ def test_a_beam_in_millimetres_is_refused(wrong):
         SensorSpec(**{"x": 0.0, "y": 0.0, "angle": 0.0, **wrong})
 
 
+@pytest.mark.parametrize(("period", "phase"), [(1, 1), (6, 6), (6, -1)])
+def test_a_phase_lies_within_the_period(period, phase):
+    words = f"a beam's phase must be 0 or more and below its period of {period}, not {phase}"
+    with pytest.raises(ValueError, match=re.escape(words)):
+        SensorSpec(0.0, 0.0, 0.0, period=period, phase=phase)
+    assert SensorSpec(0.0, 0.0, 0.0, period=7, phase=6).phase == 6
+
+
 def test_the_largest_robots_and_beams_are_accepted():
     beams = (SensorSpec(5.0, -5.0, 0.0, max_range=1000.0),)
     assert RobotSpec(radius=5.0, axle=10.0, max_wheel_speed=100.0, beams=beams).reach > 1000.0

@@ -169,12 +169,19 @@ def distance(
 
 def fixed(*mounts: tuple[str, str, float, float, float, float]) -> Message:
     """tf_static, out of (parent, child, x, y, yaw, roll)."""
-    transforms = [
+    return transforms("/tf_static", 1.0, *mounts)
+
+
+def transforms(
+    topic: str, at: float, *frames: tuple[str, str, float, float, float, float]
+) -> Message:
+    """Transforms, out of (parent, child, x, y, yaw, roll)."""
+    content = [
         {
-            "header": header(1.0, parent),
+            "header": header(at, parent),
             "child_frame_id": child,
             "transform": {"translation": {"x": x, "y": y}, "rotation": rotation(yaw, roll)},
         }
-        for parent, child, x, y, yaw, roll in mounts
+        for parent, child, x, y, yaw, roll in frames
     ]
-    return Message("/tf_static", "tf2_msgs/msg/TFMessage", 1.0, {"transforms": transforms})
+    return Message(topic, "tf2_msgs/msg/TFMessage", at, {"transforms": content})

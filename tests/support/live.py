@@ -60,9 +60,10 @@ class Channel:
         return [line for _, _, line in arrived]
 
 
-def emulated(*, seed=0, robot=None, watchdog_ms=500, name="paper"):
+def emulated(*, seed=0, robot=None, watchdog_ms=500, name="paper", imu=False):
     noise = replace(NoiseConfig(), sensor_noise=NOISE)
-    return Emulator(Body(load_world("env1"), robot or RobotSpec(), noise, name, watchdog_ms, seed))
+    body = Body(load_world("env1"), robot or RobotSpec(), noise, name, watchdog_ms, seed, imu)
+    return Emulator(body)
 
 
 class Wire:

@@ -408,6 +408,12 @@ function boundsOf(recording) {
   }
   const edges = recording.edges || recording.final_walls || [];
   for (let at = 0; at < edges.length; at += 2) add(edges[at], edges[at + 1]);
+  const {row, column, rows, columns} = recording.emptyGrid(), {cell} = recording.meta;
+  // Where the true walls are not known, all of the map is shown, and not the path alone.
+  if (!recording.edges && rows) {
+    add(column * cell, row * cell);
+    add((column + columns) * cell, (row + rows) * cell);
+  }
   const margin = 0.055 * Math.max(box[2] - box[0], box[3] - box[1], 1);
   return [box[0] - margin, box[1] - margin, box[2] + margin, box[3] + margin];
 }

@@ -56,6 +56,7 @@ def emulate(
     speed: Annotated[
         float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")
     ] = 1.0,
+    imu: Annotated[bool, typer.Option("--imu", help="Measure the heading, too.")] = False,
     truth: Annotated[
         Path | None,
         typer.Option(help="File for the true poses, lines of t x y heading.", show_default=False),
@@ -71,10 +72,12 @@ def emulate(
         raise ValueError(f"--speed must be a number from 0 to 1000, not {speed:g}")
     errors = replace(NoiseConfig(), sensor_noise=noise)
     name = Path(robot).stem.replace("_", "-")
-    body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed)
+    body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed, imu)
     pace = body.robot.control_period / speed if speed else 0.0
     if (udp is not None) + pty + ros2 != 1:
         raise ValueError("either --udp PORT, --pty or --ros2 is needed")
+    if ros2 and imu:
+        raise ValueError("--imu goes with --udp and --pty: the topics of --ros2 have no heading")
     with nullcontext() if truth is None else truth.open("w", encoding="utf-8", buffering=1) as file:
         if ros2:
             from limslam_agent.live.emulator.ros2 import RosRobot, serve

@@ -1,5 +1,6 @@
 """The emulated robot: a body in the simulator, and the firmware."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ class Body(NamedTuple):
     name: str = "paper"  # What it calls itself
     watchdog_ms: int = 500  # Time without a line from the host after which its wheels stop, ms
     seed: int = 0  # Seed of all random numbers
+    imu: bool = False  # Whether it measures its heading
 
 
 class SimulatedRobot:
@@ -42,7 +44,7 @@ class SimulatedRobot:
         self.robot, self._steps = body.robot, 0
         self._simulation = Simulation(body.world, body.robot)
         start, *_ = np.random.SeedSequence(body.seed).spawn(4)
-        self.readings, truth = self._simulation.reset(start, body.noise)
+        self.readings, truth = self._simulation.reset(start, body.noise, imu=body.imu)
         self.pose: FloatArray = truth.poses[0]
 
     @property
@@ -93,7 +95,9 @@ class Emulator(SimulatedRobot):
         self.drive(*(1e-3 * speed for speed in speeds))
         self._travel += self.readings.wheels[0]
         ranges = ranges_in_mm(self.readings.ranges[0], self.robot)
-        return self.firmware.say(self._now, ticks(self._travel), ranges)
+        yaw = self.readings.yaw
+        heading = None if yaw is None else round(1e3 * math.degrees(yaw.item(0)))
+        return self.firmware.say(self._now, ticks(self._travel), ranges, heading)
 
     @property
     def _now(self) -> int:

@@ -1,5 +1,6 @@
 """The connection of a session to a robot of ROS 2: messages of topics in, speeds out."""
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +20,8 @@ from limslam_agent.live.protocol import (
     Telemetry,
 )
 from limslam_agent.live.recording import MM
-from limslam_agent.live.ros2.node import ODOMETRY, Event, Parameters, RosNode
+from limslam_agent.live.ros2.headings import Headings
+from limslam_agent.live.ros2.node import IMU, ODOMETRY, Event, Parameters, RosNode
 from limslam_agent.live.ros2.odometer import Measurement, Odometer, Sample
 from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors
 from limslam_agent.logs.ros_messages import pose_of
@@ -60,7 +62,7 @@ class RosLink(Connection):
             if parameters.range_topics
             else ScanSensors(robot, parameters.mount)
         )
-        self._odometer = Odometer(robot, parameters.period)
+        self._odometer, self._headings = Odometer(robot, parameters.period), Headings()
         self._row = self._stops = 0
         self._hello: Hello | None = None
         self._ready = list[Message]()
@@ -134,6 +136,9 @@ class RosLink(Connection):
                     event.message.child_frame_id or "base_link",
                 )
                 return self._odometer.add_pose(event.time, np.array(pose_of(event.message)))
+            if event.number == IMU:
+                self._headings.add(event.time, event.message)
+                return []
             readings = self._sensors.add(event.number, event.time, event.message)
         except ValueError as error:
             self.bad_lines += 1
@@ -145,9 +150,19 @@ class RosLink(Connection):
         sample = self.newest = measurement.sample
         self._row += 1
         left, right = (round(travel / _MICROMETRE) for travel in (sample.left, sample.right))
-        stopped = int(self._ports.watchdog_stops > self._stops)
+        stopped, heading = (
+            int(self._ports.watchdog_stops > self._stops),
+            self._headings.at(sample.time),
+        )
         return Telemetry(
-            self._row, round(1e3 * sample.time), left, right, 0, stopped, measurement.ranges
+            self._row,
+            round(1e3 * sample.time),
+            left,
+            right,
+            0,
+            stopped,
+            measurement.ranges,
+            None if heading is None else round(1e3 * math.degrees(heading)),
         )
 
     def _missing(self, found: list[Measurement]) -> str:

@@ -43,8 +43,9 @@ _DEPTH = 50  # number of messages that wait for a busy host
 
 _Time = Annotated[float, Bounds(0.0, 60.0)]
 
-ODOMETRY = -1
-"""Number that stands for the odometry where others stand for the topics of the sensors."""
+ODOMETRY, IMU = -1, -2
+"""Numbers that stand for the odometry and the Imu where others stand for the topics of the ranges.
+"""
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class Parameters(Bounded):
     range_topics: tuple[str, ...] = ()
     # Pose of the laser on the robot: x (m), y (m), heading (deg)
     scan_mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    imu_topic: str = ""  # Topic of Imu messages, for the heading. None without a name.
     period: _Time = (
         0.1  # Time between two measurements that are used, s. Faster sensors are thinned out.
     )
@@ -211,9 +213,10 @@ class RosNode:
         quality = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.BEST_EFFORT)
         ranges = [("sensor_msgs/msg/Range", topic) for topic in self.parameters.range_topics]
         sensors = dict(enumerate(ranges or [("sensor_msgs/msg/LaserScan", "scan")]))
-        for number, (kind, topic) in (
-            sensors | {ODOMETRY: ("nav_msgs/msg/Odometry", "odom")}
-        ).items():
+        sensors[ODOMETRY] = ("nav_msgs/msg/Odometry", "odom")
+        if self.parameters.imu_topic:
+            sensors[IMU] = ("sensor_msgs/msg/Imu", self.parameters.imu_topic)
+        for number, (kind, topic) in sensors.items():
             self._node.create_subscription(
                 message_type(kind), topic, self._listener(number), quality
             )

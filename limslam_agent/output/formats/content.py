@@ -14,7 +14,7 @@ from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-_READINGS = ("ranges", "wheels", "robot")
+_READINGS = ("ranges", "wheels", "yaw", "robot")
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +26,7 @@ class Readings:
         np.float32
     ]  # (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
     wheels: NDArray[Any]  # (n, robots, 2), left and right wheel travel since the previous step, m
+    yaw: NDArray[Any] | None = None  # (n, robots), rad; None without inertial measurement units
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,8 +74,9 @@ def read_readings(run: FinishedRun) -> Readings | None:
         count, robots = len(run.time), len(run.estimated)
         ranges = arrays["ranges"].astype(np.float32).reshape(count, robots, len(robot.beams))
         wheels = arrays["wheels"].reshape(count, robots, 2)
+        yaw = arrays["yaw"].reshape(count, robots) if "yaw" in arrays else None
     except KeyError as error:
         raise FolderError(f"{path}: has no array {error.args[0]}") from error
     except (OSError, ValueError) as error:
         raise FolderError(f"{path}: does not fit the run: {error}") from error
-    return Readings(robot, ranges, wheels)
+    return Readings(robot, ranges, wheels, yaw)

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.kernels import tables
-from limslam_agent.readings import as_readings
+from limslam_agent.kernels.repeats import is_new
+from limslam_agent.readings import TURN_LENGTH, as_readings
 from limslam_agent.slam.batch import compiled_steps as steps
 from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.state import (
@@ -305,6 +306,7 @@ def state_of(states: States, number: int) -> States:
         states.fill[number],
         states.contact[number],
         states.ticks[number],
+        states.repeats[number],
         states.grid[number],
         states.window[number],
     )
@@ -322,15 +324,17 @@ def accept(
     settings, beams, travel = spec.settings[0], spec.beams, state.travel
     ekf, walls, hits = state.filter, state.walls, np.zeros(len(ranges), dtype=np.bool_)
     ekf.counts[STEP] += 1
+    increment, covariance = steps.wheel_motion(wheels, settings.axle, settings.wheel_variance)
+    moved = math.hypot(increment[0], increment[1]) + TURN_LENGTH * abs(increment[2])
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
-        measured[beam] = is_number and ekf.counts[STEP] % spec.periods[beam] == 0
-        hits[beam] = (
-            measured[beam]
-            and beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
-        )
-    increment, covariance = steps.wheel_motion(wheels, settings.axle, settings.wheel_variance)
+        step, period = ekf.counts[STEP], spec.schedule[0, beam]
+        is_due = step == 0 or step % period == spec.schedule[1, beam]
+        is_wall = beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
+        is_fresh = is_new(state.repeats, beam, ranges[beam], is_wall, moved, is_due)
+        measured[beam] = is_number and is_fresh
+        hits[beam] = measured[beam] and is_wall
     before = state.ticks.copy()
     for wheel in range(2):
         state.ticks[wheel] = steps.tick_by(before[wheel], wheels[wheel])
@@ -453,6 +457,8 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     state.fill[:] = 0
     state.walls.tally[:] = 0
     state.contact[:], state.ticks[:] = -1.0, 0.0
+    state.repeats[:] = 0.0
+    state.repeats[:, tables.PREVIOUS] = math.nan
     state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.kernels.tables import POSE, Filter, Walls, empty_walls
+from limslam_agent.kernels.tables import POSE, REPEATS, Filter, Walls, empty_walls
 from limslam_agent.slam.consistent.pending_readings import SIDES, most_clones, sides_of
 from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -73,6 +73,8 @@ class States(NamedTuple):
         (n, beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
     ticks
         (n, 2): what ``core.encoder_ticks.tick_by`` has found of the encoders, m.
+    repeats
+        (n, beams, 13): what ``kernels.repeats`` has found of the beams.
     grid, window
         Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers
         modulo ``cells``. Row and column (n, 2) of the lowest world cell that the grid holds.
@@ -85,6 +87,7 @@ class States(NamedTuple):
     fill: IntArray
     contact: FloatArray
     ticks: FloatArray
+    repeats: FloatArray
     grid: NDArray[np.int16]
     window: IntArray
 
@@ -99,13 +102,13 @@ class Spec(NamedTuple):
         ``RobotSpec``.
     beams
         ``RobotSpec.beam_table``.
-    periods, sides
-        Of each beam: steps between two measurements, and as of ``pending_readings.sides_of``.
+    schedule, sides
+        Of each beam: ``RobotSpec.schedule``, and as of ``pending_readings.sides_of``.
     """
 
     settings: NDArray[np.void]
     beams: FloatArray
-    periods: IntArray
+    schedule: IntArray
     sides: IntArray
 
 
@@ -127,9 +130,11 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
     settings = np.array(
         [tuple(given.values())], dtype=[(name, kinds[type(value)]) for name, value in given.items()]
     )
-    periods = np.array([beam.period for beam in robot.beams])
     return Spec(
-        settings, np.array(robot.beam_table), periods, sides_of(robot, estimator.pending.beams)
+        settings,
+        np.array(robot.beam_table),
+        robot.schedule.copy(),
+        sides_of(robot, estimator.pending.beams),
     )
 
 
@@ -159,6 +164,7 @@ def states_for(
         fill=np.zeros((num_envs, len(SIDES), 2), dtype=np.int64),
         contact=np.zeros((num_envs, len(robot.beams))),
         ticks=np.zeros((num_envs, 2)),
+        repeats=np.zeros((num_envs, len(robot.beams), REPEATS)),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),
     )

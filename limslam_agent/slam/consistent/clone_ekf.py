@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
+from limslam_agent.kernels.covariance import correct_state, dense_rows, mirror, move_pose
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_END, Filter
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import (
@@ -35,6 +35,7 @@ from limslam_agent.slam.consistent.separate_bias import (
     ConstantErrors,
     OdometryErrors,
     RangeErrors,
+    note_update,
 )
 from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry import FloatArray
@@ -223,15 +224,45 @@ class CloneEKF:
         self.arrays, self._errors.odometry = arrays, None
         self._correct(change)
 
-    def know_calibration(self, calibration: FloatArray, covariance: FloatArray) -> None:
-        """Set the odometry calibration (3,) of the first robot, if it is a part of the state.
+    def know_calibration(
+        self, calibration: FloatArray, covariance: FloatArray, robot: int = 0
+    ) -> None:
+        """Set the odometry calibration (3,) of a robot, if it is a part of the state.
 
         Its covariance (3, 3) is given, and it is independent of all else.
         """
         if self.calibration() is not None:
-            part = self._calibration_part(0)
+            part = self._calibration_part(robot)
             self.x[part], self.P[part], self.P[:, part] = calibration, 0.0, 0.0
-            self.P[part, part] = covariance
+            self.P[part, part], self.by_errors[part] = covariance, 0.0
+
+    def observe_drift(self, drift: float, variance: float, robot: int = 0) -> None:
+        """Update by the drift, rad/s, that the heading of a standing robot shows, and its variance.
+
+        It is the last number of the robot's calibration, if that is a part of the state.
+        """
+        if self.calibration() is None:
+            return
+        arrays, size = self.arrays, size_of(self.arrays.counts)
+        column = np.array([self._calibration_part(robot).stop - 1])
+        row = dense_rows(arrays.P, size, self._poses_end, column)
+        factor = np.sqrt(row[:, column] + variance)
+        innovation, whitened = drift - arrays.x[column], row / factor
+        change, nothing = whitened.T @ (innovation / factor[0]), np.zeros((size, POSE))
+        moved = correct_state(
+            arrays.x,
+            arrays.P,
+            size,
+            begins_of(arrays.counts),
+            arrays.anchors,
+            self.num_lines,
+            nothing,
+            whitened,
+            change,
+        )
+        note_update(
+            arrays, np.ones((1, 1)), column, innovation, factor, whitened, nothing, moved, None
+        )
 
     def predict(self, motion: Motion, robot: int = 0) -> None:
         """Move a robot."""

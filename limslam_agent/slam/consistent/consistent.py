@@ -41,8 +41,16 @@ from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration, calibrated
+from limslam_agent.slam.core.motion import (
+    AS_SPECIFIED,
+    Calibration,
+    HeadingCalibration,
+    Motion,
+    OdometryCalibration,
+    calibrated,
+)
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.core.turn_meter import Turn
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import sample
 
@@ -88,6 +96,7 @@ class ConsistentEstimator(Estimator):
         self.filter = CloneEKF(self._start, odometry, stds)
         if calibration.calibrate == "always":
             self.filter.calibrate()
+        self._with_heading: set[int] = set()  # robots whose calibration is one of headings
         self._contacts = [Contacts(robot, self.config.range_std) for _ in self.robots]
         pending, self._sides = config.pending, sides_of(robot, config.pending.beams)
         widest = int(np.bincount(self._sides + 1, minlength=2)[1:].max())
@@ -139,20 +148,25 @@ class ConsistentEstimator(Estimator):
                 self._map.add_known(points)
 
     @property
-    def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
+    def odometry_calibrations(self) -> list[tuple[Calibration, FloatArray] | None]:
         """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is
         not corrected.
         """
         found = [self.filter.calibration(robot) for robot in range(len(self.robots))]
-        return [each and (OdometryCalibration(*each[0].tolist()), each[1]) for each in found]
+        return [
+            each and (self._calibration_of(number, each[0]), each[1])
+            for number, each in enumerate(found)
+        ]
 
-    def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
+    def calibrate(self, found: tuple[Calibration, FloatArray] | None = None) -> None:
         """Correct the odometry from now on, by the readings so far or by what another drive of the
         robot has found.
         """
         self.filter.calibrate()
         if found is not None:
             self.filter.know_calibration(np.array(found[0]), found[1])
+            if isinstance(found[0], HeadingCalibration):
+                self._with_heading.add(0)
 
     @property
     def sensor(self) -> RangeSensor:
@@ -244,9 +258,12 @@ class ConsistentEstimator(Estimator):
         """Predict the pose of a robot, whose motion is less certain if it touches something, as the
         wheels show.
         """
+        if motion.turn is not None:
+            self._learn_from_turn(number, motion.turn)
         found, front = self.filter.calibration(number), self.robots[number]
         if found is not None:
-            motion = calibrated(motion, self.robot.axle, OdometryCalibration(*found[0].tolist()))
+            calibration = self._calibration_of(number, found[0])
+            motion = calibrated(motion, self.robot.axle, calibration)
         elif self.filter.calibration_evidence is not None:
             motion = calibrated(motion, self.robot.axle, AS_SPECIFIED)
         if by_wheels:
@@ -254,6 +271,24 @@ class ConsistentEstimator(Estimator):
         self.filter.predict(motion, number)
         self._travel[number, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
         self._travel[number, TURNED] += abs(float(motion.increment[2]))
+
+    def _learn_from_turn(self, number: int, turn: Turn) -> None:
+        """Make the constant errors of a robot's heading a part of the state, once, and observe its
+        drift.
+        """
+        if number not in self._with_heading:
+            self._with_heading.add(number)
+            self.filter.calibrate()
+            prior = cast(ConsistentConfig, self.config.estimator).self_calibration
+            self.filter.know_calibration(np.zeros(3), prior.heading_covariance, number)
+        if turn.drift is not None:
+            self.filter.observe_drift(turn.drift, turn.drift_variance, number)
+
+    def _calibration_of(self, number: int, errors: FloatArray) -> Calibration:
+        """The constant errors (3,) of a robot's odometry."""
+        if number in self._with_heading:
+            return HeadingCalibration(*errors.tolist())
+        return OdometryCalibration(*errors.tolist())
 
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Collect the new readings of a robot, and process each side that has enough of them."""
@@ -323,8 +358,17 @@ class ConsistentEstimator(Estimator):
         due to it.
         """
         if self.is_renewable:
-            broken = (*self.sensor.broken, beam)
-            self.assume(self._specified._replace(delay=self.sensor.delay, broken=broken))
+            self._forget_sensor_but((*self.sensor.broken, beam))
+
+    def forget_sensor(self) -> None:
+        """Take the sensor to be as specified again, apart from what is known of broken and late
+        beams.
+        """
+        if self.is_renewable:
+            self._forget_sensor_but(self.sensor.broken)
+
+    def _forget_sensor_but(self, broken: tuple[int, ...]) -> None:
+        self.assume(self._specified._replace(delay=self.sensor.delay, broken=broken))
 
     def _check_renewable(self) -> None:
         if not self.is_renewable:

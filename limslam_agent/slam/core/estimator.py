@@ -3,7 +3,9 @@ and walls.
 """
 
 import copy
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -18,10 +20,11 @@ from limslam_agent.slam.core.diagnostics import (
     PendingPoints,
 )
 from limslam_agent.slam.core.encoder_ticks import first_jitter, known_jitter, tick_by
-from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_agent.slam.core.front_end import FrontEnd, yaw_of
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Motion, OdometryCalibration, motion_of
+from limslam_agent.slam.core.motion import Calibration, Motion, motion_of, steered
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.core.turn_meter import TurnMeter
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -56,6 +59,7 @@ class Estimator:
         self.robots = [FrontEnd(robot) for _ in self._start]
         self.increments: list[FloatArray] = []
         self.ticks = np.zeros((len(self._start), 2))
+        self._turn_meters: dict[int, TurnMeter] = {}
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
         self.associations: list[AssociationRecord] = []
@@ -82,10 +86,14 @@ class Estimator:
             motion_of(seen, self.robot, self.config.noise, self.config.odometry)
             for seen in observations
         ]
+        motions = [
+            self._steered(number, *each)
+            for number, each in enumerate(zip(motions, observations, strict=True))
+        ]
         self.increments = [motion.increment for motion in motions]
         for number, (front, observation) in enumerate(zip(self.robots, observations, strict=True)):
             motions[number] = self._jittering(number, motions[number], observation)
-            front.accept(observation)
+            front.accept(observation, motions[number].increment)
             front.leave_out(self.range_sensor.broken)
             self._predict(number, motions[number], by_wheels="wheels" in observation)
         if len(self.robots) > 1:
@@ -201,14 +209,14 @@ class Estimator:
         return False
 
     @property
-    def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
+    def odometry_calibrations(self) -> list[tuple[Calibration, FloatArray] | None]:
         """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is
         not corrected.
         """
         return [None] * len(self.robots)
 
     @property
-    def odometry_calibration(self) -> tuple[OdometryCalibration, FloatArray] | None:
+    def odometry_calibration(self) -> tuple[Calibration, FloatArray] | None:
         """The first robot's odometry calibration and its covariance; None while its odometry is not
         corrected.
         """
@@ -219,12 +227,20 @@ class Estimator:
         SLAM.
         """
         self.ticks[: len(other.ticks)] = other.ticks
+        self.know_repeats(other)
         if other.sensor is not None and other.sensor != self.sensor:
             self.assume(other.sensor)
         if any(found is not None for found in other.odometry_calibrations):
             self.calibrate()
 
-    def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
+    def know_repeats(self, other: "Estimator") -> None:
+        """Use each reading once, as far as another SLAM of the same robots has found which beams
+        repeat theirs.
+        """
+        for front, known in zip(self.robots, other.robots, strict=False):
+            front.know_repeats(known)
+
+    def calibrate(self, found: tuple[Calibration, FloatArray] | None = None) -> None:
         """Correct the odometry from now on, if it can be, by what the readings so far say of its
         constant errors.
 
@@ -261,6 +277,11 @@ class Estimator:
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the estimate for what was
         assumed before.
+        """
+
+    def forget_sensor(self) -> None:
+        """Take the sensor to be as specified again, since what was found about it may be due to
+        readings that should not have been used. Only what is known of broken and late beams stays.
         """
 
     def correct_delay(self) -> None:
@@ -324,8 +345,25 @@ class Estimator:
             ]
         ticks = [max(tick, 0.0) for tick in self.ticks[number].tolist()]
         if ticks != [max(tick, 0.0) for tick in before]:
-            covariance = covariance + first_jitter(np.array(before), self.ticks[number], axle)
-        return Motion(motion.increment, covariance, jitter=known_jitter(*ticks, axle))
+            first = first_jitter(np.array(before), self.ticks[number], axle)
+            if motion.turn is not None:
+                first[2], first[:, 2] = 0.0, 0.0
+            covariance = covariance + first
+        jitter = known_jitter(*ticks, axle)
+        if motion.turn is not None:
+            jitter = np.diag([jitter.item(0), 0.0, motion.turn.jitter])
+        return replace(motion, covariance=covariance, jitter=jitter)
+
+    def _steered(self, number: int, motion: Motion, observation: Observation) -> Motion:
+        """A motion by wheels with the turn by the robot's heading, once it has reported one."""
+        if not math.isnan(yaw_of(observation)) and number not in self._turn_meters:
+            self._turn_meters[number] = TurnMeter(self.robot, self.config.noise)
+        meter = self._turn_meters.get(number)
+        if meter is None or "wheels" not in observation:
+            return motion
+        wheels = np.asarray(observation["wheels"], dtype=float)
+        turn = meter.step(yaw_of(observation), wheels)
+        return steered(motion, wheels, turn, self.config.noise)
 
     def _drop_beams_on_robots(self) -> None:
         """Drop the beams of each robot that may end on another one, and must not become walls.

@@ -2,10 +2,13 @@
 other robots.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from limslam_agent.kernels.tables import HOLD, MOVED
+from limslam_agent.readings import TURN_LENGTH, new_repeats
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import floats
 from limslam_env.interface import Observation, RobotSpec
@@ -29,6 +32,9 @@ class FrontEnd:
         them are new and not NaN.
     hits
         New readings (n_beams,) that show a wall: not at the sensor's limits.
+    repeats
+        What is known of the beams that repeat their readings (n_beams, 13), as
+        ``limslam_agent.kernels.tables`` names it. A repeated reading is not ``measured``.
     dropped
         Readings (n_beams,) that may have hit another robot. They are not ``measured``.
     refused_readings
@@ -43,7 +49,14 @@ class FrontEnd:
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.dropped: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.hits: BoolArray = np.zeros(len(robot.beams), dtype=bool)
+        self.repeats = new_repeats(len(robot.beams))
         self.refused_readings = 0
+
+    @property
+    def holds(self) -> list[float]:
+        """For how many steps an equal reading of each beam counts as repeated; 0 if it is new."""
+        found: list[float] = self.repeats[:, HOLD].tolist()
+        return found
 
     def check(self, observation: Observation) -> None:
         """Check that an observation can be accepted.
@@ -53,9 +66,10 @@ class FrontEnd:
         TypeError
             If it is not a dictionary.
         ValueError
-            If its ranges have the wrong shape, or are no real numbers.
+            If its ranges have the wrong shape or are no real numbers, or its heading is no number.
         """
         _check_kind(observation)
+        yaw_of(observation)
         if "ranges" not in observation:
             return
         if floats(observation["ranges"]).shape != (len(self._robot.beams),):
@@ -64,12 +78,16 @@ class FrontEnd:
                 f"{described(observation['ranges'])}"
             )
 
-    def accept(self, observation: Observation) -> None:
-        """Store the readings of the next step, which have been checked."""
+    def accept(self, observation: Observation, motion: FloatArray) -> None:
+        """Store the readings of the next step, which have been checked. The robot has moved by
+        ``motion`` (3,) since the last one, m, m, rad.
+        """
+        moved = math.hypot(motion[0], motion[1]) + TURN_LENGTH * abs(float(motion[2]))
         self.step += 1
         self.dropped = np.zeros(len(self._robot.beams), dtype=bool)
         if "ranges" not in observation:
             self.measured = self.hits = np.zeros(len(self._robot.beams), dtype=bool)
+            self.repeats[:, MOVED] += moved
             return
         from limslam_agent.kernels.readings import sort_readings
 
@@ -81,8 +99,12 @@ class FrontEnd:
             self.dropped.copy(),
         )
         self.refused_readings += sort_readings(
-            values, *limits, self.ranges, self.measured, self.hits
+            values, *limits, moved, self.repeats, self.ranges, self.measured, self.hits
         )
+
+    def know_repeats(self, other: "FrontEnd") -> None:
+        """Take those beams to repeat their readings of which the same robot has found it before."""
+        self.repeats[:, HOLD] = other.repeats[:, HOLD]
 
     def leave_out(self, beams: Sequence[int]) -> None:
         """Take broken beams to have seen nothing that counts."""
@@ -99,6 +121,26 @@ class FrontEnd:
         """
         self.dropped = beams & self.hits
         self.measured, self.hits = self.measured & ~self.dropped, self.hits & ~self.dropped
+
+
+def yaw_of(observation: Observation) -> float:
+    """The heading of an observation, rad; NaN where it has none.
+
+    Raises
+    ------
+    ValueError
+        If it is no single number, or infinite.
+    """
+    value = observation.get("yaw", math.nan)
+    try:
+        (yaw,) = np.asarray(value, dtype=float).ravel().tolist()
+    except (TypeError, ValueError):
+        yaw = math.inf
+    if math.isinf(yaw):
+        raise ValueError(
+            f"yaw must be one number, the heading in rad, or NaN, not {described(value)}"
+        )
+    return float(yaw)
 
 
 def _check_kind(observation: object) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from limslam_agent.slam.core.front_end import yaw_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation
@@ -22,6 +23,15 @@ def held_back(wheels: FloatArray, delay: float) -> FloatArray:
     """
     totals = np.concatenate((np.zeros_like(wheels[:1]), np.cumsum(wheels, axis=0)))
     return np.diff(_totals_at(totals, np.arange(float(len(totals))) - delay), axis=0)
+
+
+def headings_held_back(yaw: FloatArray, delay: float) -> FloatArray:
+    """Headings (t, n) of n robots, rad, delayed by a number of steps; NaN where one of the two
+    readings around a time is missing.
+    """
+    start = np.full_like(yaw[:1], np.nan)
+    totals = np.exp(1j * np.concatenate((start, yaw)))
+    return np.angle(_totals_at(totals, np.arange(1.0, len(totals)) - delay))
 
 
 def ahead(poses: FloatArray, waiting: FloatArray, axle: float) -> FloatArray:
@@ -46,6 +56,7 @@ class WaitingTravel:
     def __init__(self, robots: int) -> None:
         self._totals = [np.zeros((robots, 2))]
         self._given = self.travel = self._totals[0]
+        self._yaw: list[FloatArray] = []
 
     def synchronous(
         self, observations: Sequence[Observation], delay: float
@@ -59,16 +70,27 @@ class WaitingTravel:
             return observations
         total = self._totals[-1] + np.array([seen["wheels"] for seen in observations], dtype=float)
         self._totals = [*self._totals[-int(LONGEST) - 1 :], total]
+        yaw = np.array([yaw_of(seen) for seen in observations])
+        self._yaw = [*self._yaw[-int(LONGEST) - 1 :], yaw]
         if not (delay or self.travel.any()):
             self._given = total
             return observations
         before, place = self._given, np.array([len(self._totals) - 1.0 - delay])
         self._given = _totals_at(np.array(self._totals), place)[0]
         self.travel = total - self._given
+        headings = headings_held_back(np.array(self._yaw), delay)[-1].tolist()
         return [
-            Observation(**{**seen, "wheels": travel})
-            for seen, travel in zip(observations, self._given - before, strict=True)
+            _waited(seen, travel, yaw)
+            for seen, travel, yaw in zip(observations, self._given - before, headings, strict=True)
         ]
+
+
+def _waited(observation: Observation, travel: FloatArray, yaw: float) -> Observation:
+    """An observation with travel, m, and a heading, rad, that have waited for its ranges."""
+    waited = Observation(**{**observation, "wheels": travel})
+    if "yaw" in observation:
+        waited["yaw"] = yaw
+    return waited
 
 
 def _totals_at(totals: FloatArray, places: FloatArray) -> FloatArray:

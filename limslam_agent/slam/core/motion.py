@@ -3,12 +3,13 @@ odometry.
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.shared import OdometryConfig
+from limslam_agent.slam.core.turn_meter import Turn
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.numbers import floats
 from limslam_env.geometry.se2 import arc, arc_derivatives, arc_jacobian, wheels_to_arc
@@ -46,12 +47,15 @@ class Motion:
     jitter
         Covariance (3, 3) of the pose, in its frame, about the sum of all increments:
         ``encoder_ticks.jitter_of``.
+    turn
+        The turn by a heading sensor, which the increment has; None for a robot without one.
     """
 
     increment: FloatArray
     covariance: FloatArray
     by_calibration: FloatArray | None = None
     jitter: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    turn: Turn | None = None
 
     @property
     def has_turned(self) -> bool:
@@ -87,6 +91,29 @@ class OdometryCalibration(NamedTuple):
 
 AS_SPECIFIED = OdometryCalibration(0.0, 0.0, 0.0)
 """The calibration of odometry without constant errors."""
+
+
+class HeadingCalibration(NamedTuple):
+    """Constant errors of the odometry of a robot with a heading sensor.
+
+    Attributes
+    ----------
+    size
+        Share by which both wheels are larger than their nominal size.
+    scale
+        Share by which the robot turns more than the sensor says.
+    drift
+        How fast the heading of a robot that does not turn grows, rad/s.
+    """
+
+    size: float
+    scale: float
+    drift: float
+
+
+Calibration = OdometryCalibration | HeadingCalibration
+"""The constant errors of the odometry, which are three numbers with and without a heading sensor.
+"""
 
 
 def motion_from_wheels(wheels: FloatArray, robot: RobotSpec, noise: NominalNoise) -> Motion:
@@ -139,35 +166,70 @@ def motion_from_odometry(odometry: FloatArray, config: OdometryConfig) -> Motion
     return Motion(increment, covariance)
 
 
-def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) -> Motion:
-    """A motion corrected for the sizes of wheels and axle.
+def steered(motion: Motion, wheels: FloatArray, turn: Turn, noise: NominalNoise) -> Motion:
+    """The motion of wheels that travel (2,), m, with the turn by a heading sensor."""
+    left, right = float(wheels[0]), float(wheels[1])
+    distance = 0.5 * (left + right)
+    variance = 0.25 * noise.wheel_variance * (abs(left) + abs(right)) + 0.5 * LEAST_VARIANCE
+    by_arc = arc_jacobian(distance, turn.angle)
+    covariance = (by_arc * np.array([variance, turn.variance])) @ by_arc.T
+    # The covariance of a standing robot stays regular.
+    covariance[1, 1] += LEAST_VARIANCE
+    return replace(motion, increment=arc(distance, turn.angle), covariance=covariance, turn=turn)
+
+
+def calibrated(motion: Motion, axle: float, calibration: Calibration) -> Motion:
+    """A motion corrected for the constant errors of wheels and axle, or of wheels and heading.
 
     With wheel travel l = d - t b / 2 and r = d + t b / 2 and the axle b (m), the distance d and the
     turn t become (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d
     / b) / (1 + fb).
 
-    A turn that may be noise only is left out of ``by_calibration``.
+    A turn that may be noise only is left out of ``by_calibration``. With a heading sensor, the
+    distance becomes (1 + size) d, and the turn t + scale m - drift s, if it has measured a turn m
+    for s seconds.
     """
     x, y, turn = motion.increment.tolist()
-    left, right = calibration.left, calibration.right
-    size, uneven, wider = 1.0 + 0.5 * (left + right), right - left, 1.0 + calibration.axle
     half = 0.5 * turn
     ahead = x * math.cos(half) + y * math.sin(half)
     driven = math.copysign(math.hypot(x, y), ahead) * (half / math.sin(half) if half else 1.0)
+    if isinstance(calibration, HeadingCalibration):
+        distance, turned, by_errors = _by_heading(motion, driven, calibration)
+    else:
+        distance, turned, by_errors = _by_wheels(motion, driven, axle, calibration)
+    increment = motion.increment
+    if any(calibration):
+        # The motion of a log need not be an arc that wheels can drive.
+        increment = arc(distance, turned) + (increment - arc(driven, turn))
+    by_calibration = arc_jacobian(distance, turned) @ by_errors
+    return replace(motion, increment=increment, by_calibration=by_calibration)
+
+
+def _by_wheels(
+    motion: Motion, driven: float, axle: float, calibration: OdometryCalibration
+) -> tuple[float, float, FloatArray]:
+    """Corrected distance, m, and turn, rad, and their derivatives (2, 3) by the calibration."""
+    left, right, turn = calibration.left, calibration.right, motion.increment.item(2)
+    size, uneven, wider = 1.0 + 0.5 * (left + right), right - left, 1.0 + calibration.axle
     lever, drift = 0.25 * axle * turn, driven / axle
     distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
     sure, sure_turned = (turn, turned) if motion.has_turned else (0.0, uneven * drift / wider)
-    by_calibration = arc_jacobian(distance, turned) @ np.array(
-        [
-            [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
-            [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
-        ]
-    )
-    increment = motion.increment
-    if calibration != AS_SPECIFIED:
-        # The motion of a log need not be an arc that wheels can drive.
-        increment = arc(distance, turned) + (increment - arc(driven, turn))
-    return Motion(increment, motion.covariance, by_calibration, motion.jitter)
+    by_errors = [
+        [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
+        [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
+    ]
+    return distance, turned, np.array(by_errors)
+
+
+def _by_heading(
+    motion: Motion, driven: float, calibration: HeadingCalibration
+) -> tuple[float, float, FloatArray]:
+    """The same for a robot with a heading sensor."""
+    turn = Turn(motion.increment.item(2), 0.0) if motion.turn is None else motion.turn
+    turned = turn.angle + calibration.scale * turn.measured - calibration.drift * turn.seconds
+    sure = turn.measured if motion.has_turned else 0.0
+    by_errors = np.array([[driven, 0.0, 0.0], [0.0, sure, -turn.seconds]])
+    return (1.0 + calibration.size) * driven, turned, by_errors
 
 
 def motion_of(

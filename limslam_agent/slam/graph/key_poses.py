@@ -8,7 +8,7 @@ odometry is already newer), and the direction of driving (the beams may be mount
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,22 +22,25 @@ kernel = entry_of(__name__)
 KEY_DISTANCE, KEY_TURN = 0.25, math.radians(12.0)
 """A new key pose begins after this distance driven, m, or this turn, rad."""
 
-_SCAN_DISTANCE, _SCAN_TURN = (
-    0.015,
-    math.radians(1.0),
-)  # m, rad: since the last scan that gave points
+# m, rad: a beam gives its next point after this motion since its last one
+_POINT_DISTANCE, _POINT_TURN = 0.015, math.radians(1.0)
 # Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per
 # square root of a metre driven, and of a radian turned.
 _PER_METRE = 0.05, 0.05, math.radians(2.0)
 _PER_RADIAN = 0.03, 0.03, math.radians(6.0)
 _DELAY_STEP = 0.05  # s, of the derivatives by the delay
 _LEAST_NEW_TIMES = 0.9
+STANDING = 1e-6
+"""Smaller motions between two events, m and rad, are rounding errors."""
 ERRORS = 5
 """Number of constant errors of odometry that are estimated."""
 ANOTHER_VISIT = 13.5
 """After this distance driven, m, what is seen again is another visit of its place."""
 APART = 1000.0
-"""Distance driven, m, that is taken to lie between two logs that are solved as one."""
+"""Distance driven, m, that is taken to lie between two logs that are solved as one, and at a break
+of odometry in a log.
+"""
+_WAY_ACROSS = 1e6  # of a break, in the way between two key poses: no event lies on it
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +58,17 @@ class LogData:
     angles: FloatArray
     max_range: float  # longest range, m
     range_std: float = 0.0  # specified standard deviation of a range, m
+    # breaks, break_stds: events (k,) before which odometry does not tell the motion, and standard
+    # deviations (k, 3) of these motions along, across and of the heading, m and rad
+    breaks: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    break_stds: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def apart(self) -> FloatArray:
+        """Distance (n,), m, that is added to the path before each event: ``APART`` at a break."""
+        apart = np.zeros(len(self.time))
+        apart[self.breaks] = APART
+        return apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +83,7 @@ class KeyPoses:
     # distance (n,) driven forward since the key pose, m
     offset: FloatArray
     offset_forward: FloatArray
+    share: FloatArray  # share (n,) of the way from its key pose to the next that lies before it
     # step, step_forward, step_variances: odometry motion (m - 1, 3) from each key pose to the next;
     # its distance (m - 1,), m, and its variances (m - 1, 3)
     step: FloatArray
@@ -78,7 +93,8 @@ class KeyPoses:
     # delay of the ranges, per s
     offset_rate: FloatArray
     step_rate: FloatArray
-    travel: FloatArray  # length (n,) of the path up to each event, m
+    # length (n,) of the path up to each event, m, with ``APART`` for each break of odometry
+    travel: FloatArray
     # point_event, point_key, point_travel: event, key pose and travel (p,) of each point; points
     # are in the order of events
     point_event: IntArray
@@ -97,6 +113,19 @@ class KeyPoses:
     def key_travel(self) -> FloatArray:
         """Length (m,) of the path up to each key pose, m."""
         return np.asarray(self.travel[self.first_event])
+
+    @property
+    def breaks(self) -> IntArray:
+        """Key poses (k,) before which odometry does not tell the motion, and with which a second
+        log begins.
+        """
+        return np.flatnonzero(np.diff(self.key_travel, prepend=0.0) >= APART)
+
+    @property
+    def key_driven(self) -> FloatArray:
+        """Distance (m,) that was driven up to each key pose in all logs, m."""
+        steps = np.diff(self.key_travel, prepend=0.0)
+        return np.asarray(np.cumsum(np.where(steps < APART, steps, steps - APART)))
 
     @property
     def driven(self) -> float:
@@ -128,27 +157,30 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
     moves = np.zeros((count, 3))
     moves[1:] = se2.between(data.odometry[:-1], data.odometry[1:])
     length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
-    key = _count_ups(length, turn, KEY_DISTANCE, KEY_TURN)
+    variances = motion_variances(length, turn)
+    variances[data.breaks] = data.break_stds**2
+    way, driven = length + data.apart, float(np.cumsum(length)[-1])
+    # After a break, a key pose begins, and the beams see something new.
+    key = _count_ups(way, turn, KEY_DISTANCE, KEY_TURN)
     first = np.searchsorted(key, np.arange(key[-1] + 1))
-    travel, forward = np.cumsum(length), np.cumsum(moves[:, 0])
+    travel, forward = np.cumsum(way), np.cumsum(moves[:, 0])
     first_of = first[key]
     offset_rate, step_rate = (
         _rates(data, first_of, np.arange(count)),
         _rates(data, first[:-1], first[1:]),
     )
-    scans = np.diff(_count_ups(length, turn, _SCAN_DISTANCE, _SCAN_TURN), prepend=-1) > 0
-    event, beam = np.nonzero(
-        _thinned(data.hit & scans[:, None], max(travel[-1], 1.0) * config.points_per_metre)
-    )
+    points = _spaced(data.hit, way, turn, _POINT_DISTANCE, _POINT_TURN)
+    event, beam = np.nonzero(_thinned(points, max(driven, 1.0) * config.points_per_metre))
     direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
     return KeyPoses(
         event_key=key,
         first_event=first,
         offset=se2.between(data.odometry[first_of], data.odometry),
         offset_forward=forward - forward[first_of],
+        share=_shares(length / KEY_DISTANCE + turn / KEY_TURN, data.breaks, key, first),
         step=se2.between(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
-        step_variances=np.diff(np.cumsum(motion_variances(length, turn), axis=0)[first], axis=0),
+        step_variances=np.diff(np.cumsum(variances, axis=0)[first], axis=0),
         offset_rate=offset_rate,
         step_rate=step_rate,
         travel=travel,
@@ -169,6 +201,21 @@ def _thinned(hit: BoolArray, most: float) -> BoolArray:
     return np.asarray(hit & ((scans[:, None] + np.arange(hit.shape[1])) % every == 0))
 
 
+def _shares(way: FloatArray, breaks: IntArray, key: IntArray, first: IntArray) -> FloatArray:
+    """Share (n,) of the way from the key pose of each event to the next that lies before the event.
+
+    ``way`` (n,) is the way from the event before, ``key`` (n,) the key pose of each event, and
+    ``first`` (m,) the first event of each key pose. Events before a break follow the key pose
+    before it.
+    """
+    way = way.copy()
+    way[breaks] = _WAY_ACROSS
+    total = np.cumsum(way)
+    ends = np.append(total[first[1:]], total[-1])
+    whole = np.maximum(ends - total[first], 1e-9)
+    return np.asarray((total - total[first[key]]) / whole[key])
+
+
 def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:
     """Variances (k, 3) of motions by odometry of ``length`` (k,), m, and ``turn`` (k,), rad."""
     return np.asarray(
@@ -178,7 +225,7 @@ def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:
 
 def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
     """Derivatives (k, 3) of the motions between events (k,) by the delay of the ranges, per s."""
-    if not _has_times(data.time):
+    if not _has_times(data):
         return np.zeros((len(first), 3))
     later, earlier = (delayed(data, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
     change = se2.between(later[first], later[second]) - se2.between(earlier[first], earlier[second])
@@ -186,9 +233,13 @@ def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
     return np.asarray(change / (2.0 * _DELAY_STEP))
 
 
-def _has_times(time: FloatArray) -> bool:
-    """Whether the times tell the events apart. Some logs give many events the same time."""
-    return bool(np.mean(np.diff(time) > 0.0) > _LEAST_NEW_TIMES) if len(time) > 1 else False
+def _has_times(data: LogData) -> bool:
+    """Whether the times tell apart the events between which the robot moved. Some logs give many
+    events the same time.
+    """
+    moved = (np.abs(np.diff(data.odometry, axis=0)) > STANDING).any(axis=1)
+    later = np.diff(data.time)[moved] > 0.0
+    return bool(later.mean() > _LEAST_NEW_TIMES) if len(later) else False
 
 
 def delayed(data: LogData, delay: float) -> LogData:
@@ -198,7 +249,7 @@ def delayed(data: LogData, delay: float) -> LogData:
     A log whose times do not tell its events apart stays as it is. Of several events with one time,
     each keeps its own pose, to which the motion during the delay is added.
     """
-    if not delay or not _has_times(data.time):
+    if not delay or not _has_times(data):
         return data
     time, odometry = np.maximum.accumulate(data.time), data.odometry
     nodes, chosen = np.unique(time, return_index=True)
@@ -309,11 +360,7 @@ def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
     )
     gap = np.vstack((poses[1:], poses[-1:])) - arrival
     gap[:, 2] = se2.wrap_angle(gap[:, 2])
-    after = np.append(keys.first_event[1:], len(key))[key]
-    share = (np.arange(len(key)) - keys.first_event[key]) / np.maximum(
-        after - keys.first_event[key], 1
-    )
-    ridden += share[:, None] * gap[key]
+    ridden += keys.share[:, None] * gap[key]
     ridden[:, 2] = se2.wrap_angle(ridden[:, 2])
     return np.asarray(ridden)
 
@@ -333,4 +380,24 @@ def _count_ups(length: FloatArray, turn: FloatArray, distance: float, angle: flo
             count += 1
             driven = turned = 0.0
         out[row] = count
+    return out
+
+
+@kernel
+def _spaced(
+    hit: BoolArray, length: FloatArray, turn: FloatArray, distance: float, angle: float
+) -> BoolArray:
+    """The hits (n, b) before which the robot has driven or turned far enough since the last hit of
+    the same beam that was chosen, in whichever rows of the log the motion stands.
+    """
+    out = np.zeros(hit.shape, np.bool_)
+    driven = np.full(hit.shape[1], np.inf)
+    turned = np.zeros(hit.shape[1])
+    for row in range(len(hit)):
+        for beam in range(hit.shape[1]):
+            driven[beam] += length[row]
+            turned[beam] += turn[row]
+            if hit[row, beam] and (driven[beam] >= distance or turned[beam] >= angle):
+                out[row, beam] = True
+                driven[beam] = turned[beam] = 0.0
     return out

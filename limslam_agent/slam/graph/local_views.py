@@ -28,14 +28,18 @@ class LocalViews:
     ----------
     moves
         Motions (n - 1, 3) from event to event. They may be changed.
-    travel
+    driven
         Length (n,) of the path up to each event, m.
+    travel
+        The same, with ``APART`` for each break of odometry.
     """
 
     def __init__(self, data: LogData, config: GraphConfig, window: Window) -> None:
         self._data, self._maps, self._window = data, config.maps, window
         self.moves = moves_of(data)
-        self.travel = np.append(0.0, np.cumsum(np.hypot(self.moves[:, 0], self.moves[:, 1])))
+        lengths = np.hypot(self.moves[:, 0], self.moves[:, 1])
+        self.driven = np.append(0.0, np.cumsum(lengths))
+        self.travel = np.append(0.0, np.cumsum(lengths + data.apart[1:]))
         rays = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
         self._points = data.origins + data.ranges[..., None] * rays
 

@@ -47,7 +47,7 @@ def position_std(
         ratios = odometry_ratios(keys, trajectory, equations)
         keys = replace(keys, step_variances=keys.step_variances * ratios)
         equations = cautious_equations(keys, trajectory, config, range_std, relations)
-    numbers = np.unique(np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1])))
+    numbers = np.unique(np.searchsorted(keys.key_driven, _evenly(keys.key_driven[-1])))
     columns = pose_columns(numbers)[:, :2].ravel()
     rows = np.zeros((equations.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
@@ -81,10 +81,9 @@ def odometry_ratios(
     path.
     """
     errors, jacobian = odometry_factor(keys, trajectory)
-    begins = np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1] - _WINDOW))
-    ends = np.minimum(
-        np.searchsorted(keys.key_travel, keys.key_travel[begins] + _WINDOW), len(errors)
-    )
+    driven = keys.key_driven
+    begins = np.searchsorted(driven, _evenly(driven[-1] - _WINDOW))
+    ends = np.minimum(np.searchsorted(driven, driven[begins] + _WINDOW), len(errors))
     begins = np.minimum(begins, ends - 1)
     biases = np.arange(3 * len(keys), 3 * len(keys) + jacobian.shape[2] - 6)
     first = np.arange(len(errors))

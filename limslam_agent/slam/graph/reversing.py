@@ -1,7 +1,7 @@
 """Stretches that a robot drove backwards, in logs whose odometry never says so.
 
 Encoders with a single channel count distances without a sign, and so do some converted logs: on
-``fr079`` odometry says "ahead" for all of its 393 m, and the robot drove backwards at 14 places.
+``fr079`` odometry says "ahead" for all of its 393 m, and the robot drove backwards over 6.8 m.
 Such a stretch of 3 m is an error of 6 m, which no model of noise explains.
 
 A robot can change its direction only where it stops. After a stop it sees the walls that it has
@@ -21,7 +21,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import SCORES, TURN_STEP
-from limslam_agent.slam.graph.key_poses import LogData, integrate
+from limslam_agent.slam.graph.key_poses import STANDING, LogData, integrate
 from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews, moves_of
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
@@ -49,7 +49,7 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     if data.max_range < AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
     views = LocalViews(data, config, _WINDOW)
-    stretches = _stretches(data.time, views.travel)
+    stretches = _stretches(data, views.driven)
     judged = [_judged(views, *each) for each in stretches.tolist()]
     if sum(_is_proof(each, config) for each in judged) < config.reversing.fewest:
         return data
@@ -84,7 +84,7 @@ def driven_backwards(
         return
     views = LocalViews(data, config, _WINDOW)
     travel = views.travel
-    for begin, end in _stretches(data.time, travel).tolist():
+    for begin, end in _stretches(data, views.driven).tolist():
         if travel[since] < travel[end] + AFTER <= travel[-1]:
             judged = _judged(views, begin, end)
             if judged[0] > 0.0:
@@ -106,6 +106,8 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     number of stretches.
     """
     before, after = (moves_of(each)[:, 0] for each in (data, directed))
+    moved = np.abs(before) > STANDING
+    before, after = before[moved], after[moved]
     backwards = (after < 0.0) & (before > 0.0)
     begins = backwards & ~np.append(False, backwards[:-1])
     return float(before[backwards].sum()), int(begins.sum())
@@ -127,15 +129,18 @@ def _judged(views: LocalViews, begin: int, end: int) -> tuple[float, float]:
     return (lead if backwards >= SCORES[0] else NO_MATCH), contradicted
 
 
-def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:
-    """First and last event (k, 2) of the stretches between stops."""
-    speeds = _speeds(np.maximum.accumulate(time), travel)
+def _stretches(data: LogData, travel: FloatArray) -> IntArray:
+    """First and last event (k, 2) of the stretches between stops. At a break of odometry, a robot
+    may have stopped.
+    """
+    speeds = _speeds(np.maximum.accumulate(data.time), travel)
     driving = speeds[np.diff(travel) > 0.0]
     moving = (
         speeds >= _SLOW * np.median(driving)
         if len(driving)
         else np.zeros(len(speeds), dtype=np.bool_)
     )
+    moving[data.breaks - 1] = False
     changes = np.diff(np.concatenate(([False], moving, [False])).astype(np.int64))
     found = np.column_stack((np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)))
     return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= LEAST_LENGTH])

@@ -285,11 +285,8 @@ class _Graph:
         columns: IntArray = np.concatenate((poses[:, :-1], poses[:, 1:]), axis=-1)
         if problem.prior is not None:
             by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
-            by_calibration[:, :, 0, 0], by_calibration[:, :, 1, 1] = (
-                -problem.wheels[..., 0],
-                -problem.wheels[..., 1],
-            )
-            by_calibration[..., 2] = self._by_axle(state)
+            by_calibration[..., :3] = -problem.by_sizes
+            by_calibration[..., 2] += self._by_axle(state)
             jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
             shared = np.arange(unknowns.first_calibration, unknowns.first_line)
             own: IntArray = shared.reshape(unknowns.robots, unknowns.calibrated)
@@ -336,4 +333,6 @@ class _Graph:
     def _by_axle(self, state: State) -> FloatArray:
         """Derivatives (n, t - 1, 3) of the motions by the relative excess of the axle."""
         turned = 0.5 * np.diff(state.poses[..., 2], axis=1) * self._problem.robot.axle
+        if self._problem.turns is not None:  # the axle is as specified
+            turned = np.zeros_like(turned)
         return np.stack((-turned, turned, np.zeros_like(turned)), axis=-1)

@@ -7,6 +7,7 @@ wheels drive exact arcs, so poses follow from motions.
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -17,6 +18,7 @@ from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.core.turn_meter import turns_of
 from limslam_agent.slam.line_graph.factors import (
     Expected,
     drive,
@@ -44,6 +46,14 @@ def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
 CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
 """Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle,
 bias.
+"""
+
+HEADING_PRIOR = np.asarray(
+    np.linalg.inv(block_diag(SelfCalibrationConfig().heading_covariance, [1e-6**2])), dtype=float
+)
+"""The same for a robot with a heading sensor: size of the wheels, scale, drift, bias.
+
+The bias remains as it is known.
 """
 
 RELATIVE_PRIOR = _calibration_prior(1e-6, 1e-6)
@@ -98,6 +108,11 @@ class Problem:
     # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot
     # was carried
     jumps: FloatArray | None = None
+    # turns, heading_jitters: of robots with heading sensors, the turns (n, t - 1, 2) that these
+    # have measured, rad, and for how long, s, both 0 where the wheels give the turn; and the
+    # variances (n, t) of the headings about the sum of all turns, rad^2
+    turns: FloatArray | None = None
+    heading_jitters: FloatArray | None = None
 
     @property
     def steps(self) -> int:
@@ -134,8 +149,11 @@ class Problem:
         turns[..., 0, 0] = turns[..., 1, 1] = np.cos(state.poses[..., 2])
         turns[..., 1, 0] = np.sin(state.poses[..., 2])
         turns[..., 0, 1] = -turns[..., 1, 0]
-        own = np.array([jitter_of(ticks, self.robot.axle) for ticks in self.ticks])
-        return np.asarray(turns @ own[:, None] @ np.swapaxes(turns, -1, -2))
+        own = np.array([jitter_of(ticks, self.robot.axle) for ticks in self.ticks])[:, None]
+        if self.heading_jitters is not None:
+            own = np.tile(np.diag([1.0, 1.0, 0.0]) * own, (1, self.steps, 1, 1))
+            own[..., 2, 2] = self.heading_jitters
+        return np.asarray(turns @ own @ np.swapaxes(turns, -1, -2))
 
     @cached_property
     def stds(self) -> FloatArray:
@@ -158,13 +176,30 @@ class Problem:
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
-        return self.robot.axle * (1.0 + float(calibration[2]))
+        return self.robot.axle * (1.0 if self.turns is not None else 1.0 + float(calibration[2]))
+
+    @cached_property
+    def by_sizes(self) -> FloatArray:
+        """Derivatives (n, t - 1, 3, 3) of the measured motions by the first three numbers of the
+        calibration.
+        """
+        found = np.zeros((*self.wheels.shape, 3))
+        if self.turns is None:
+            found[..., 0, 0], found[..., 1, 1] = self.wheels[..., 0], self.wheels[..., 1]
+            return found
+        lever = 0.5 * self.robot.axle * self.turns * (1.0, -1.0)
+        found[..., :2, 0] = self.wheels[..., :2].mean(axis=-1, keepdims=True)
+        found[..., 0, 1:], found[..., 1, 1:] = -lever, lever
+        return found
 
     def motions(self, calibration: FloatArray) -> FloatArray:
         """The measured motions (n, t - 1, 3), m, by the calibration (n, 4) of the wheels."""
-        sizes = np.ones((len(self.wheels), 1, 3))
-        sizes[:, 0, :2] += calibration[:, :2]
-        found = self.wheels * sizes
+        if self.turns is None:
+            sizes = np.ones((len(self.wheels), 1, 3))
+            sizes[:, 0, :2] += calibration[:, :2]
+            found = self.wheels * sizes
+        else:
+            found = self.wheels + np.einsum("ntij,nj->nti", self.by_sizes, calibration[:, :3])
         return found if self.jumps is None else found + self.jumps
 
     def whitened(self, errors: FloatArray) -> FloatArray:
@@ -191,8 +226,8 @@ class State:
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2),
         m.
     calibration
-        Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all
-        ranges, m.
+        Calibration (n, 4): relative excess of left wheel, right wheel and axle, or with a heading
+        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges, m.
     """
 
     motions: FloatArray
@@ -218,6 +253,7 @@ def make_problem(
     first_step: int = 0,
     sensor: RangeSensor | None = None,
     ticks: FloatArray | None = None,
+    yaw: FloatArray | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -241,6 +277,9 @@ def make_problem(
         How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
     ticks
         The ticks (n, 2) of the encoders, m; by the wheels if left out.
+    yaw
+        Headings (t, n) by inertial measurement units, rad, NaN without a reading; None without such
+        sensors.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
@@ -256,14 +295,71 @@ def make_problem(
     covariances = slip_covariances(
         robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
     )
-    covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
     covariances[..., 2, 2] += ASIDE_STD**2
+    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels)
+    if steered is None:
+        covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
+    else:
+        motions[..., :2] = steered.motions
+        covariances[..., :2, :2] += steered.covariances
     if not first_step:  # see ``encoder_ticks.first_jitter``
         covariances[:, 0, [0, 1], [0, 1]] += tick_variances(ticks)
     roots = np.linalg.inv(np.linalg.cholesky(covariances))
     starts = np.asarray(starts, dtype=float)
     return Problem(
-        sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, ticks, prior
+        sensor.mounted(robot),
+        starts,
+        motions,
+        roots,
+        readings,
+        looks,
+        sensor,
+        ticks,
+        prior,
+        turns=None if steered is None else steered.turns,
+        heading_jitters=None if steered is None else steered.jitters,
+    )
+
+
+class _Steered(NamedTuple):
+    """The motions of n robots with heading sensors in t steps.
+
+    Attributes
+    ----------
+    motions, covariances
+        Travel (n, t - 1, 2) of wheels that do not slip in turns, m, and covariances (n, t - 1, 2,
+        2).
+    turns, jitters
+        ``Problem.turns`` and ``Problem.heading_jitters``.
+    """
+
+    motions: FloatArray
+    covariances: FloatArray
+    turns: FloatArray
+    jitters: FloatArray
+
+
+def _by_headings(
+    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+) -> _Steered:
+    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m."""
+    travel = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)
+    table = np.array(
+        [
+            [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
+            for own in (turns_of(robot, noise, *each) for each in zip(yaw.T, travel, strict=True))
+        ]
+    )
+    angles, variances = table[:, 1:, 0, None, None], table[:, 1:, 1, None, None]
+    distances = 0.5 * travel[:, 1:].sum(axis=-1)
+    of_distances = 0.25 * noise.wheel_variance * np.abs(travel[:, 1:]).sum(axis=-1)
+    by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
+    covariances = (of_distances + 0.5 * LEAST_VARIANCE)[..., None, None] * np.ones((2, 2))
+    return _Steered(
+        distances[..., None] + (angles * by_turn)[..., 0],
+        covariances + variances * (by_turn @ by_turn.T),
+        table[:, 1:, 3:],
+        table[..., 2],
     )
 
 

@@ -14,7 +14,7 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.encoder_ticks import ticks_of
-from limslam_agent.slam.core.late_ranges import ahead, behind, held_back
+from limslam_agent.slam.core.late_ranges import ahead, behind, headings_held_back, held_back
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
@@ -22,6 +22,7 @@ from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_betw
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve, where_read
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
+    HEADING_PRIOR,
     RELATIVE_PRIOR,
     Problem,
     make_problem,
@@ -80,6 +81,13 @@ class FilteredRun:
     # Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of
     # its step.
     waiting: FloatArray | None = None
+    # Headings (t, n) by inertial measurement units, rad; None without such sensors
+    yaw: FloatArray | None = None
+
+    @property
+    def has_headings(self) -> bool:
+        """Whether a robot has ever reported a heading."""
+        return self.yaw is not None and not bool(np.isnan(self.yaw).all())
 
     @property
     def synchronous(self) -> "FilteredRun":
@@ -90,14 +98,15 @@ class FilteredRun:
         wheels = held_back(self.wheels, delay)
         waiting = np.cumsum(self.wheels - wheels, axis=0)
         poses, ticks = behind(self.poses, waiting, self.robot.axle), ticks_of(self.wheels)
-        return replace(self, wheels=wheels, poses=poses, ticks=ticks, waiting=waiting)
+        yaw = None if self.yaw is None else headings_held_back(self.yaw, delay)
+        return replace(self, wheels=wheels, poses=poses, ticks=ticks, waiting=waiting, yaw=yaw)
 
     def until(self, step: int | None) -> "FilteredRun":
         """The run before a step of its own, with what the filter had found out by then."""
         if step is None:
             return self
         rows, end = ["wheels", "ranges", "usable", "poses", "covariances"], self.first_step + step
-        rows += ["waiting"] if self.waiting is not None else []
+        rows += [name for name in ("waiting", "yaw") if getattr(self, name) is not None]
         return replace(
             self,
             **{name: getattr(self, name)[:step] for name in rows},
@@ -128,8 +137,8 @@ class SmoothedRun:
     # The readings of each robot that lie on each landmark, by its place in ``landmarks``
     associations: list[AssociationRecord]
     # Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified
-    # values, and the bias of all ranges, m. None where the robots are taken to be as specified, and
-    # no bias is known.
+    # values, or with a heading sensor the numbers of ``HeadingCalibration``; and the bias of all
+    # ranges, m. None where the robots are taken to be as specified, and no bias is known.
     calibration: FloatArray | None
     contradictions: float  # share of all looks that passed through a wall of the solution
     robot: RobotSpec  # the robot with its beams as they are mounted
@@ -164,13 +173,15 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
         covariances=turned(second.covariances, float(frame[2])),
     )
     steps = max(len(first.poses), len(second.poses))
-    at_the_end = {
+    at_the_end: dict[str, Any] = {
         "wheels": 0.0,
         "ranges": math.nan,
         "usable": False,
         "poses": None,
         "covariances": None,
     }
+    if first.yaw is not None and second.yaw is not None:
+        at_the_end["yaw"] = math.nan
     columns: dict[str, Any] = {}
     for name, value in at_the_end.items():
         own = [getattr(run, name) for run in (first, moved)]
@@ -230,6 +241,8 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     if len(run.poses) < 2:
         return None
     prior = CALIBRATION_PRIOR if config.calibrate == "always" else None
+    if run.has_headings and config.calibrate != "never":
+        prior = HEADING_PRIOR
     problem = make_problem(
         run.robot,
         run.noise,
@@ -241,6 +254,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         run.first_step,
         run.sensor,
         run.ticks,
+        run.yaw if run.has_headings else None,
     )
     problem = with_breaks(with_slips(problem, run), run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
@@ -248,7 +262,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         return None
     try:
         best = reassociate(problem, state_from_poses(problem, run.poses), labels)
-        if config.calibrate == "if_needed":
+        if config.calibrate == "if_needed" and not run.has_headings:
             best = _calibrated_if_needed(best, run, labels)
     except DegenerateError:
         return None
@@ -313,6 +327,7 @@ def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
         problem.roots.copy(),
         np.zeros_like(problem.wheels),
     )
+    turns = None if problem.turns is None else problem.turns.copy()
     for number, step in run.breaks:
         poses, covariances = (
             run.poses[step - 1 : step + 1, number].copy(),
@@ -320,11 +335,15 @@ def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
         )
         poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
         wheels[number, step - 1] = 0.0
+        if turns is not None:
+            turns[number, step - 1] = 0.0
         jumps[number, step - 1] = motions_between(poses, problem.robot.axle)[0]
         jacobian = motion_jacobians(poses, problem.robot.axle)[0]
         both = block_diag(covariances[0], covariances[1] + np.diag(_FOUND_STDS**2))
         roots[number, step - 1] = np.linalg.inv(np.linalg.cholesky(jacobian @ both @ jacobian.T))
-    return replace(problem, wheels=wheels, roots=roots, jumps=jumps if run.breaks else None)
+    return replace(
+        problem, wheels=wheels, roots=roots, turns=turns, jumps=jumps if run.breaks else None
+    )
 
 
 def filter_labels(

@@ -108,7 +108,14 @@ class OnlineGraph:
         self._key_travel, self._key_turned = 0.0, 0.0
         self.pose, self.covariance, self.job_ms = self._start, np.zeros((3, 3)), 0.0
 
-    def step(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
+    def step(
+        self,
+        time: float,
+        odometry: FloatArray,
+        ranges: FloatArray,
+        hit: BoolArray,
+        break_stds: FloatArray | None = None,
+    ) -> None:
         """Process an event.
 
         Parameters
@@ -119,14 +126,22 @@ class OnlineGraph:
             Pose (3,) of odometry in a frame of its own, m, m, rad.
         ranges, hit
             Ranges (b,), m, and whether each beam has seen a wall (b,).
+        break_stds
+            Standard deviations (3,) of the motion before the event, m and rad, if odometry does not
+            tell it.
         """
         recent, travel, turned = self._recent, self._recent.travel, self._recent.turned
-        recent.append(time, odometry, ranges, hit)
+        recent.append(time, odometry, ranges, hit, break_stds)
         self.job_ms = 0.0
         motion = calibrated_motion(recent.last_motion, self._anchor.errors)
-        moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
         self._ridden = compose(self._ridden, motion)
-        self._variances = self._variances + motion_variances(*moved)[0]
+        if break_stds is None:
+            moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
+            self._variances = self._variances + motion_variances(*moved)[0]
+        else:
+            self._variances = self._variances + break_stds**2
+            # The next chunk lies behind the break as a whole.
+            self._job_at = recent.travel + 2.0 * self._config.maps.half
         if self._is_key_pose():
             self._key_travel, self._key_turned = recent.travel, recent.turned
             if self._waiting is not None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, SmoothingConfig
 from limslam_agent.slam.graph.key_poses import (
+    APART,
     ERRORS,
     KeyPoses,
     LogData,
@@ -49,14 +50,15 @@ class RecentEvents:
     first
         Number of the first event that is still known.
     travel, turned, backwards
-        Distance driven, m, angle turned, rad, and distance driven backwards, m, by odometry up to
-        the last event.
+        Distance driven, m, with ``APART`` for each break of odometry, angle turned, rad, and
+        distance driven backwards, m, by odometry up to the last event.
     """
 
     def __init__(self) -> None:
         self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
         self._odometry: FloatArray | None = None
         self._times, self._travels = list[float](), list[float]()
+        self._breaks = dict[int, FloatArray]()
         self._moves, self._ranges, self._hits = (
             list[FloatArray](),
             list[FloatArray](),
@@ -68,13 +70,23 @@ class RecentEvents:
         """Number of the last event."""
         return self.first + len(self._times) - 1
 
-    def append(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
-        """Note an event: its time, s, pose of odometry (3,), ranges (b,), m, and whether each saw a
-        wall (b,).
+    def append(
+        self,
+        time: float,
+        odometry: FloatArray,
+        ranges: FloatArray,
+        hit: BoolArray,
+        break_stds: FloatArray | None = None,
+    ) -> None:
+        """Note an event: its time, s, pose of odometry (3,), ranges (b,), m, whether each saw a
+        wall (b,), and the standard deviations (3,) of the motion before it if that is unknown.
         """
         move = np.zeros(3) if self._odometry is None else between(self._odometry, odometry)
         self._odometry = np.array(odometry)
         self.travel += math.hypot(move[0], move[1])
+        if break_stds is not None:
+            self._breaks[self.last + 1] = break_stds
+            self.travel += APART
         self.turned += abs(float(move[2]))
         self.backwards -= min(float(move[0]), 0.0)
         self._times.append(time)
@@ -96,6 +108,7 @@ class RecentEvents:
         for events in (self._times, self._travels, self._moves, self._ranges, self._hits):
             del events[old]
         self.first = event
+        self._breaks = {row: stds for row, stds in self._breaks.items() if row > event}
 
     @property
     def last_motion(self) -> FloatArray:
@@ -116,6 +129,8 @@ class RecentEvents:
             odometry=odometry,
             ranges=np.array(self._ranges),
             hit=np.array(self._hits),
+            breaks=np.array([row - self.first for row in self._breaks], dtype=np.int64),
+            break_stds=np.array(list(self._breaks.values())).reshape(-1, 3),
         )
 
 

@@ -13,6 +13,7 @@ import typer
 from support.bags import odometry, scan, write_bag
 from support.command_line import limslam
 
+from limslam_agent import read_log
 from limslam_agent.cli import warmup as warmup_module
 from limslam_agent.cli.terminal import run_command
 from limslam_env import load_world
@@ -508,7 +509,25 @@ def test_a_lack_of_memory_is_said_in_one_line(capsys):
         run_command(app, "fill")
     assert ended.value.code == 2
     message = capsys.readouterr().err
-    assert message.startswith(
-        "fill: there is not enough memory for this: Unable to allocate 8.00 PiB"
-    )
+    assert message.startswith("fill: there is not enough memory for this: Unable to allocate ")
     assert message.count("\n") == 1
+
+
+def test_a_run_with_the_heading_of_an_imu_is_kept_replayed_and_inspected(tmp_path):
+    run, again = tmp_path / "run", tmp_path / "again"
+    told = ("--noise", "0.02", "--max-time", "8", "--imu")
+    finished = limslam("run", "--world", "env1", *told, "--out", run)
+    assert finished.returncode == 0, finished.stderr
+    assert "drift of the heading" in finished.stdout
+    result = json.loads((run / "result.json").read_text())
+    assert result["config"]["imu"] is True
+    assert set(result["record"]["calibration"][0]) >= {"size", "scale", "drift", "drift_std"}
+    assert np.isfinite(read_log(run / "log.npz").yaw).all()
+    replayed = limslam("replay", run / "log.npz", "--noise", "0.02", "--out", again)
+    assert "heading of the IMU: drift" in replayed.stdout
+    paths = [np.loadtxt(folder / "trajectory_est.tum") for folder in (run, again)]
+    np.testing.assert_allclose(paths[0], paths[1], atol=1e-6)
+    assert "The poses equal those" in limslam("inspect", run).stdout
+    repeated = limslam("run", "--config", run / "run.toml", "--out", tmp_path / "repeated")
+    assert repeated.returncode == 0, repeated.stderr
+    assert "drift of the heading" in repeated.stdout

@@ -158,6 +158,13 @@ def test_the_page_follows_the_newest_moment():
         chromium.wait_for("player.recording.frames === 30 && player.frame === 29")
         drive.on(50)
         chromium.wait_for("player.recording.frames === 80 && player.frame === 79")
+        grid, cell, bounds = chromium.run(
+            "[player.recording.gridOf(79), player.recording.meta.cell, player.scene.bounds]"
+        )
+        low = np.array([grid["column"], grid["row"]])
+        high = low + np.array([grid["columns"], grid["rows"]])
+        assert (bounds[:2] <= cell * low).all(), "the whole map is in the picture"
+        assert (bounds[2:] >= cell * high).all(), "the whole map is in the picture"
         chromium.page.keyboard.press("Home")
         drive.on(20)
         chromium.wait_for("player.recording.frames === 100")

@@ -63,6 +63,7 @@ TELEMETRY = st.builds(
     ack=U32,
     stopped=st.integers(0, 1),
     ranges=RANGES,
+    yaw=st.none() | I32,
 )
 COMMANDS = (
     st.builds(Greeting, version=st.integers(0, 255), seq=U32)
@@ -88,7 +89,7 @@ def test_a_message_comes_back_from_its_line(message):
 def test_the_lines_of_the_page_are_those_of_the_protocol():
     assert checksum(b"123456789") == 0x29B1  # by the catalogue of CRC-16/CCITT-FALSE
     page = ROOT / "docs" / "live.md"
-    (block,) = (block for block in blocks(page) if block.text.startswith("H,1,"))
+    (block,) = (block for block in blocks(page) if block.text.startswith("H,2,"))
     messages = [decode(line.encode()) for line in block.text.splitlines()]
     assert messages[:2] == [
         Hello(VERSION, 2833961172, "esp32-tof", 6, 141800, 50, 300),
@@ -97,7 +98,8 @@ def test_the_lines_of_the_page_are_those_of_the_protocol():
     assert messages[4] == Telemetry(
         1, 5170, 31, 33, 1, 0, (811, None, NOTHING_SEEN, 1193, 639, 587)
     )
-    assert messages[5:] == [Speeds(2, 1, 100, 96), Heartbeat(3), Stop(4)]
+    heading = Telemetry(2, 5220, 64, 66, 2, 0, (811, None, NOTHING_SEEN, 1193, 639, 587), yaw=3437)
+    assert messages[5:] == [Speeds(2, 1, 100, 96), Heartbeat(3), heading, Stop(4)]
 
 
 @AT_ANY_SPEED
@@ -111,7 +113,7 @@ def test_no_damaged_line_is_a_message(line, data):
     )
     with pytest.raises(BadLineError):
         decode(damaged.replace(b"\n", b"").replace(b"\r", b"") + b"?")
-    if line.startswith(b"S,"):
+    if line.startswith((b"S,", b"T,")):
         with pytest.raises(BadLineError):
             decode(damaged)
 
@@ -133,6 +135,9 @@ def test_no_damaged_line_is_a_message(line, data):
         "x,1",
         "V,1,2,3",
         "V,1,2,40000,0",
+        "T,0,0,0,0,0,0,5",
+        "T,0,0,0,0,0,0,-,500",
+        "T,0,0,0,0,0,0,2147483648,500",
         "Z,1",
         "H,1,2,,6,1,1,1",
         "H,1,2,a b,6,1,1,1",
@@ -228,6 +233,12 @@ def library(tmp_path_factory):
         ctypes.c_char_p,
         ctypes.c_size_t,
     ]
+    loaded.limslam_say_heading.restype = ctypes.c_size_t
+    loaded.limslam_say_heading.argtypes = [
+        *loaded.limslam_say.argtypes[:4],
+        ctypes.c_int32,
+        *loaded.limslam_say.argtypes[4:],
+    ]
     loaded.limslam_hear.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_uint32]
     loaded.limslam_speeds.argtypes = [
         ctypes.c_void_p,
@@ -263,12 +274,17 @@ class Robot:
         self._library.limslam_speeds(self._link, now, ctypes.byref(left), ctypes.byref(right))
         return left.value, right.value
 
-    def say(self, now, ticks, ranges, size=640):
+    def say(self, now, ticks, ranges, yaw=None, size=640):
         listed = (ctypes.c_uint32 * len(ranges))(
             *(NO_READING if each is None else each for each in ranges)
         )
         text = ctypes.create_string_buffer(b"?" * size, size + 1)
-        length = self._library.limslam_say(self._link, now, *ticks, listed, text, size)
+        if yaw is None:
+            length = self._library.limslam_say(self._link, now, *ticks, listed, text, size)
+        else:
+            length = self._library.limslam_say_heading(
+                self._link, now, *ticks, yaw, listed, text, size
+            )
         assert text.raw[size:] == b"\0"  # nothing was written behind the end
         assert len(text.value) == length
         return text.value.splitlines(keepends=True)
@@ -352,7 +368,8 @@ def test_both_say_the_same_and_turn_the_wheels_alike_whatever_they_hear(library,
         assert robots[0].speeds(now) == robots[1].speeds(now)
         ticks = generator.randint(-(2**31), 2**31 - 1), generator.randint(-(2**31), 2**31 - 1)
         ranges = tuple(generator.choice([None, 0, 95, NOTHING_SEEN]) for _ in range(hello.beams))
-        said = [robot.say(now, ticks, ranges) for robot in robots]
+        yaw = generator.choice([None, generator.randint(-(2**31), 2**31 - 1)])
+        said = [robot.say(now, ticks, ranges, yaw) for robot in robots]
         assert said[0] == said[1]
         assert all(isinstance(decode(line), Hello | Telemetry) for line in said[1])
     assert 100 < heard < 400

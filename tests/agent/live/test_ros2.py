@@ -15,8 +15,9 @@ from support.command_line import app, limslam
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
+from limslam_agent.live.ros2.headings import Headings
 from limslam_agent.live.ros2.link import RosLink
-from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event, Parameters
+from limslam_agent.live.ros2.node import IMU, ODOMETRY, PACKAGES, Event, Parameters
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
 from limslam_env import RobotSpec
@@ -199,6 +200,81 @@ def test_ranges_that_are_late_or_doubled_are_left_out():
     sensors = three_ranges()
     messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
     assert collected(sensors, *messages) == [(1.1, (500, 400, 300))]
+
+
+# Headings.
+
+
+def imu(heading=None, rate=0.0):
+    turn = 0.0 if heading is None else 0.5 * heading
+    return SimpleNamespace(
+        orientation=SimpleNamespace(x=0.0, y=0.0, z=math.sin(turn), w=math.cos(turn)),
+        orientation_covariance=[-1.0 if heading is None else 0.01, *[0.0] * 8],
+        angular_velocity=SimpleNamespace(x=0.0, y=0.0, z=rate),
+    )
+
+
+def headings_of(*messages):
+    headings = Headings()
+    for time, message in messages:
+        headings.add(time, message)
+    return headings
+
+
+def test_a_heading_is_interpolated_and_counts_on_beyond_a_full_turn():
+    headings = headings_of(*((0.1 * row, imu(0.5 * row)) for row in range(20)))
+    assert headings.at(1.55) == pytest.approx(7.75)
+    assert headings.at(1.95) is None
+    assert headings.at(-0.1) is None
+
+
+def test_a_rate_of_turn_is_summed_up_where_the_orientation_is_unknown():
+    headings = headings_of(*((0.1 * row, imu(rate=0.4 * row)) for row in range(11)))
+    assert headings.at(1.0) - headings.at(0.0) == pytest.approx(2.0)
+
+
+def test_headings_that_are_late_or_far_apart_are_left_out():
+    headings = headings_of(*((time, imu(time)) for time in (1.0, 1.2, 1.1, 1.2, 2.0, 2.2)))
+    assert headings.at(1.1) == pytest.approx(1.1)
+    assert headings.at(1.5) is None
+    assert headings.at(2.1) == pytest.approx(2.1)
+    headings.add(0.2, imu(0.3))
+    headings.add(0.3, imu(0.3))  # the time has begun again, by less than what is kept
+    assert headings.at(0.25) is None
+    for time in (50.0, 50.1, 3.0, 3.1):
+        headings.add(time, imu(0.3))
+    assert headings.at(3.05) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("message", [imu(rate=math.nan), imu(math.nan)])
+def test_a_heading_that_is_no_number_is_refused(message):
+    with pytest.raises(ValueError, match="not"):
+        Headings().add(1.0, message)
+
+
+def test_the_heading_of_a_measurement_is_that_of_its_time():
+    topics = ",".join(f"b{number}" for number in range(6)).split(",")
+    moments = []
+    for row in range(40):
+        time = 1.0 + 0.05 * row
+        readings = [Event(number, time, distance(0.5)) for number in range(6)]
+        moments.append(
+            [
+                Event(ODOMETRY, time, odometry(0.01 * row, 0.0, 0.0)),
+                Event(IMU, time + 0.02, imu(0.2 * time)),
+                *readings,
+            ]
+        )
+    parameters = Parameters(range_topics=tuple(topics), imu_topic="imu")
+    link = RosLink(FakePorts(*moments), ROBOT, parameters)
+    link.first_hello(1.0)
+    found = []
+    for _ in range(40):
+        found += [each for each in link.receive(0.05) if each.yaw is not None]
+    assert len(found) > 10
+    for each in found:
+        heading = 0.2 * (1e-3 * each.time_ms - 0.02)
+        assert math.radians(1e-3 * each.yaw) % math.tau == pytest.approx(heading, abs=1e-4)
 
 
 # Readings and odometry together.

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -79,6 +80,26 @@ def test_a_perfect_connection_loses_nothing_and_gives_the_estimate_of_a_run():
 
 
 BAD_WIRE = Faults(loss=0.1, late=0.1, double=0.1, damage=0.05)
+
+
+def test_the_heading_of_a_robot_is_used_and_kept(tmp_path):
+    wire = Wire(emulated(imu=True), Faults(loss=0.1), seed=1)
+    session, _ = driven(wire, 12.0)
+    (found, _) = session.agent.slam.odometry_calibration
+    assert found._fields == ("size", "scale", "drift")
+    log = session.recording.log()
+    assert np.isfinite(log.yaw).all()
+    session.recording.save(tmp_path / "log.npz")
+    np.testing.assert_array_equal(read_log(tmp_path / "log.npz").yaw, log.yaw)
+    assert errors_of(session, wire).max() < 0.1
+
+
+def test_a_robot_of_version_1_is_driven_and_has_no_heading():
+    emulator = emulated()
+    emulator.firmware.hello = replace(emulator.firmware.hello, version=1)
+    session, reason = driven(Wire(emulator), 3.0)
+    assert reason == OUT_OF_TIME
+    assert session.recording.log().yaw is None
 
 
 def test_a_robot_on_a_bad_wire_knows_its_way():
@@ -360,7 +381,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, t
     [
         (b"H,1,5,my-robot,6,100000,100,500", "no shipped robot is called 'my-robot'"),
         (b"H,1,5,paper,5,100000,100,500", "the robot paper has 5 beams, but its description has 6"),
-        (b"H,2,5,paper,6,100000,100,500", "the robot paper speaks version 2 of the protocol"),
+        (b"H,3,5,paper,6,100000,100,500", "the robot paper speaks version 3 of the protocol"),
     ],
 )
 def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
@@ -450,8 +471,9 @@ def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
     assert log.wheels[-1].tolist() == [0.0, 0.0]
 
 
-def test_an_emulator_refuses_a_number_that_no_port_has():
-    command = [sys.executable, "-m", "limslam_agent.live.emulator", "--udp", "99999"]
+@pytest.mark.parametrize("told", [("--udp", "99999"), ("--ros2", "--imu")])
+def test_an_emulator_refuses_what_it_cannot_do(told):
+    command = [sys.executable, "-m", "limslam_agent.live.emulator", *told]
     finished = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
     assert finished.returncode == 2
     assert finished.stderr.startswith("emulator: ")

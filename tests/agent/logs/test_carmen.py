@@ -85,7 +85,7 @@ def test_events_keep_the_order_of_the_file_and_use_ipc_time(write: Any) -> None:
         scan(odometry=(1.0, 0.5, 0.1), at=10.2),
         "\n",
         odom((1.5, 0.5, 3.0 + 2.0 * math.pi), at=10.1),
-        "RAWLASER1 0 1 2 3\n",
+        "RLASER 0 1 2 3\n",
         scan(odometry=(2.0, 0.5, -4.0), at=10.4),
     )
     log = read_log(path, SIX, 3.0)
@@ -222,6 +222,81 @@ def test_a_clock_that_begins_below_zero_begins_at_zero(write: Any) -> None:
     assert log.notes == ("the times begin at -2.5 s; 2.5 s were added to all of them",)
 
 
+# Other kinds of scans
+
+
+def laser(
+    kind: str, ranges: list[float], begin: float, step: float, tail: str, farthest: float = 30.0
+) -> str:
+    """A line whose scan says where its beams point, deg."""
+    start, view, apart = (math.radians(each) for each in (begin, step * len(ranges), step))
+    head = f"{kind} 0 {start:.6f} {view:.6f} {apart:.6f} {farthest} 0.01 0"
+    return f"{head} {len(ranges)} {' '.join(map(str, ranges))} 2 100 200 {tail}\n"
+
+
+def robot_laser(at: float, ranges: list[float], x: float, begin: float, step: float) -> str:
+    pose = f"{x} 0 0"
+    return laser("ROBOTLASER1", ranges, begin, step, f"{pose} {pose} 0.1 0 0.3 0.3 1 {at} host 0.5")
+
+
+def raw_laser(at: float, ranges: list[float]) -> str:
+    return laser("RAWLASER1", ranges, -90.0, 1.0, f"{at} host 0.5")
+
+
+def test_scans_that_describe_their_beams_are_read_after_others(write: Any) -> None:
+    numbered = [0.5 + 0.001 * beam for beam in range(181)]
+    lines = [scan(numbered, (0.1 * at, 0.0, 0.0), at=float(at)) for at in range(3)]
+    lines += [robot_laser(float(at), numbered, 0.1 * at, -90.0, 1.0) for at in range(3, 9)]
+    log = read_log(write(*lines), (-90.0, 0.0), 3.0)
+    assert log.has_scan.sum() == len(log) == 9
+    np.testing.assert_allclose(log.ranges, np.tile(float32(0.5, 0.59), (9, 1)), rtol=1e-6)
+    np.testing.assert_allclose(log.odometry[:, 0], 0.1 * np.arange(9), atol=1e-12)
+    assert log.notes == ()
+
+
+def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write: Any) -> None:
+    readings = [1.0, 30.0, 2.0, 4.0, 5.0]
+    log = read_log(write(robot_laser(1.0, readings, 0.0, -120.0, 60.0)), (-120.0, -60.0, 120.0), 40)
+    np.testing.assert_array_equal(log.ranges[0], float32(1.0, 40.0, 5.0))
+    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [-120.0, -60.0, 120.0], atol=1e-3)
+    message = refusal(write(robot_laser(1.0, readings, 0.0, 0.0, 0.0)))
+    assert ": line 1: 5 beams in steps of 0 rad are no scan" in message
+    many = robot_laser(1.0, readings, 0.0, 0.0, 1.0).replace(" 5 1.0 30.0", " 999999999 1.0 30.0")
+    assert "a scan has 999999999 beams" in refusal(write(many))
+    cut = robot_laser(1.0, readings, 0.0, -120.0, 60.0).replace(" 2 100 200", " 3 100 200")
+    assert "ROBOTLASER1 has " in refusal(write(cut), (0.0,), 5.0)
+
+
+def test_scans_without_a_pose_take_that_of_odometry(write: Any) -> None:
+    numbered = [0.5 + 0.001 * beam for beam in range(181)]
+    lines = [odom((0.1 * at, 0.0, 0.0), at=10.0 + at) for at in range(5)]
+    scans = [raw_laser(9.5 + at, numbered) for at in range(6)]
+    log = read_log(
+        write(*[each for both in zip(scans[:-1], lines, strict=True) for each in both], scans[-1]),
+        (0.0,),
+    )
+    assert log.has_scan.tolist() == [False, *[True, False] * 4]
+    np.testing.assert_allclose(log.odometry[:, 0], 0.05 * np.arange(9), atol=1e-9)
+    np.testing.assert_allclose(log.ranges[log.has_scan], np.float32(0.59))
+    assert log.notes == ("2 scans before or after all odometry left out",)
+
+
+def test_scans_that_repeat_others_without_their_pose_are_left_out(write: Any) -> None:
+    lines = [each for at in range(4) for each in (raw_laser(at, [2.0] * 181), scan(at=float(at)))]
+    log = read_log(write(*lines), SIX, 3.0)
+    assert (len(log), log.notes) == (4, ())
+
+
+def test_lines_that_are_not_read_are_counted_by_kind(write: Any) -> None:
+    others = ["RLASER 1 2 3\n"] * 3 + ["GPS 1\n"] + ["PARAM a b\n", "SYNC 1\n", "# note\n"]
+    log = read_log(write(*others, scan()), SIX, 3.0)
+    (note,) = log.notes
+    assert note == "lines of kinds that are not read were left out: 3 RLASER, 1 GPS"
+    message = refusal(write(*others, odom()))
+    assert message.endswith(note)
+    assert "has no scan" in message
+
+
 # What is refused
 
 
@@ -252,7 +327,7 @@ def test_a_last_line_that_is_cut_is_refused(write: Any, kept: int) -> None:
 def test_a_log_without_odometry_is_refused(write: Any) -> None:
     ranges = " ".join(["2.0"] * 181)
     for lines in (
-        ["RAWLASER1 0 -1.57 3.14 0.0174 80 0.01 0 3 1.0 1.0 1.0 0 1.0 host 0.5\n"],
+        [f"RAWLASER1 0 -1.5708 3.14159 0.0174533 80 0.01 0 181 {ranges} 0 1.0 host 0.5\n"],
         [f"FLASER 181 {ranges}\n"],
         [f"FLASER 181 {ranges} 1.0 host 0.5\n"],
         [f"FLASER 181 {ranges} 0 0 0 1.0 host 0.5\n"],

@@ -232,7 +232,7 @@ def test_messages_that_make_no_sense_are_refused_with_their_number(tmp_path, bad
         ),
         (
             [scan(10.0, FIVE)],
-            "has no Odometry and no pose; it has /scan (sensor_msgs/msg/LaserScan)",
+            "no transform from odom to the body; it has /scan (sensor_msgs/msg/LaserScan)",
         ),
         (
             [*drive(1), distance(10.0, 1.0, "/left")],
@@ -271,7 +271,116 @@ def test_topics_that_cannot_be_used_are_refused(tmp_path, topics, words):
     )
 
 
+# Odometry that is not whole
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_odometry_may_be_a_transform(tmp_path, kind):
+    seen = [each for each in drive(frame="laser") if each.topic == "/scan"]
+    body = ("base_footprint", "base_link", 0.0, 0.0, 0.0, 0.0)
+    for step in range(11):
+        at, x = 10.0 + 0.1 * step, 0.1 * step
+        moving = (
+            ("odom", "base_footprint", x, 0.0, 0.0, 0.0),
+            body,
+            ("map", "odom", 5.0, x, 1.0, 0.0),
+        )
+        seen.append(bags.transforms("/tf", at, *moving))
+        seen.append(bags.transforms("/tf", at, ("base_link", "arm", x, 0.0, 0.0, 0.0)))
+    seen.append(fixed(("base_link", "laser", 0.2, 0.0, math.pi / 4, 0.0)))
+    log = read_log(write_bag(tmp_path, sorted(seen, key=lambda message: message.at), kind))
+    np.testing.assert_allclose(log.odometry[:, 0], 0.05 + 0.1 * np.arange(10), atol=1e-6)
+    np.testing.assert_allclose(log.odometry[:, 1:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(degrees(log), [-45.0, 0.0, 45.0, 90.0, 135.0], atol=1e-4)
+    assert {each.x for each in log.robot.beams} == {0.2}
+
+
+def test_two_transforms_of_odometry_are_refused(tmp_path):
+    frames = [("odom", child, 0.0, 0.0, 0.0, 0.0) for child in ("base_link", "other")]
+    messages = [bags.transforms("/tf", 10.0, *frames), scan(10.05, FIVE)]
+    words = "has 2 transforms from a frame of odometry, odom to base_link, odom to other"
+    assert words in refusal(write_bag(tmp_path, messages))
+
+
+def long_drive(silent=(), places=None, readings=None):
+    """A drive of 8 s at 0.5 m/s without the odometry of some steps, or at other places."""
+    count = 80
+    places = 0.05 * np.arange(count) if places is None else places
+    said = [
+        odometry(10.0 + 0.1 * step, places[step]) for step in range(count) if step not in silent
+    ]
+    near = np.full(count, 2.0) if readings is None else readings
+    seen = [scan(10.05 + 0.1 * step, [near[step], *FIVE[1:]]) for step in range(count - 1)]
+    return sorted(said + seen, key=lambda message: message.at)
+
+
+def test_scans_in_a_gap_of_odometry_are_left_out_and_named(tmp_path):
+    log = read_log(write_bag(tmp_path, long_drive(silent=range(31, 60))))
+    (note,) = log.notes
+    assert note.startswith("30 scans without odometry were left out, from 2.9")
+    assert len(log) == 79 - 30
+    (found,) = log.breaks
+    assert found.row == 30
+    assert found.end - found.begin == pytest.approx(3.1)
+    assert found.distance == pytest.approx(31 * 0.05)
+    assert not found.is_jump
+
+
+def test_odometry_that_is_silent_while_the_robot_stands_has_no_gap(tmp_path):
+    count = 80
+    places = 0.05 * np.concatenate((np.arange(30), np.full(31, 30), np.arange(30, 49)))
+    still = write_bag(tmp_path, long_drive(range(31, 60), places), name="still")
+    log = read_log(still)
+    assert (len(log), log.breaks, log.notes) == (count - 1, (), ())
+    # The readings say that the robot has moved.
+    moved = long_drive(range(31, 60), places, readings=np.linspace(1.0, 2.5, count))
+    bag = write_bag(
+        tmp_path,
+        [
+            scan(each.at, list(np.array(FIVE) + 0.3 * (each.at - 10.0)))
+            if each.topic == "/scan"
+            else each
+            for each in moved
+        ],
+        name="moved",
+    )
+    assert [each.row for each in read_log(bag).breaks] == [30]
+
+
+def test_a_jump_between_two_scans_is_one_jump(tmp_path):
+    places = 0.05 * np.arange(80)
+    places[40:] -= 3.0
+    log = read_log(write_bag(tmp_path, long_drive(places=places)))
+    (found,) = log.breaks
+    assert found.is_jump
+    assert found.distance == pytest.approx(2.9, abs=0.06)
+    (note,) = log.notes
+    assert note.startswith("1 scan without odometry was left out")
+    odometry_of = [each["odometry"][0] for each in log.observations()]
+    assert np.max(np.abs(odometry_of)) < 0.06
+
+
 # Files
+
+
+@pytest.mark.parametrize(
+    ("kind", "remedy"),
+    [("ros1", "rosbag reindex"), ("mcap", "mcap recover"), ("sqlite", "ros2 bag reindex")],
+)
+def test_a_bag_that_is_cut_names_what_mends_it(tmp_path, kind, remedy):
+    bag = write_bag(tmp_path, drive(40), kind)
+    file = bag if kind == "ros1" else storage_of(bag)
+    content = file.read_bytes()
+    file.write_bytes(content[: len(content) * 2 // 3])
+    message = refusal(bag)
+    assert "cut short, damaged" in message
+    assert remedy in message
+
+
+def test_a_folder_without_its_metadata_names_what_writes_it(tmp_path):
+    bag = write_bag(tmp_path, drive(2), "mcap")
+    (bag / "metadata.yaml").unlink()
+    assert refusal(bag).endswith("it has no metadata.yaml; ros2 bag reindex writes it")
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):

@@ -124,7 +124,13 @@ def test_beams_can_be_chosen_and_are_six_of_many(write):
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7: delete the line"),
+        (
+            "0.2,0,0,0,1,1",
+            (
+                "line 3: 6 columns where the header names 7, in '0.2,0,0,0,1,1'. 1 of 3 lines "
+                "cannot be read as rows of the table: delete the line"
+            ),
+        ),
         (
             "0,2,0,0,1,5,0,1,1,1,1",
             (
@@ -149,18 +155,11 @@ def test_a_bad_row_is_refused_with_its_line(write, row, words):
 @pytest.mark.parametrize(
     ("head", "words"),
     [
-        (
-            "t,x,y,r_0",
-            "line 1: the header must be t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not",
-        ),
-        ("t,x,y,theta", "line 1: the header names no ranges"),
-        ("t,x,y,theta,r_0,battery", "line 1: the column 'battery' is not a range"),
-        (
-            "t,x,y,theta,r_0,r_somewhere",
-            "line 1: the column 'r_somewhere': 'somewhere' is no direction",
-        ),
-        ("t,x,y,theta,r_0,r_999", "line 1: the column 'r_999': 999 is not within 360 deg"),
-        ("t,x,y,theta,r_0,r_front", "line 1: the header names the beam at 0 deg twice"),
+        ("t,x,y,r_0", "no column with the heading (theta, yaw): found t,x,y,r_0"),
+        ("t,x,y,theta", "no column with a range (r_90, range_front): found t,x,y,theta"),
+        ("t,x,y,theta,r_0,r_somewhere", "the header does not say where r_0,r_somewhere point"),
+        ("t,x,y,theta,r_0,r_999", "the header names a beam at 999 deg, which is not within 360"),
+        ("t,x,y,theta,r_0,r_front", "the header names the beam at 0 deg twice"),
         (
             "t,x,y,theta,r_0,r_20,...,r_90",
             "line 1: '...' cannot go from 20 to 90 deg in steps of 20",
@@ -245,7 +244,7 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
 @pytest.mark.parametrize(
     ("text", "options", "words"),
     [
-        (WHEELS + METRES, None, "line 1: a table of wheel travel needs --robot FILE"),
+        (WHEELS + METRES, None, "a table of wheel travel needs --robot FILE"),
         (
             "t,left,right,r_0\n0,0,0,1\n",
             TableOptions(ROBOT),
@@ -254,15 +253,12 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         (
             "t,left,r_0\n0,0,1\n",
             TableOptions(ROBOT),
-            "or t,left,right,r_<deg>,..., not 't,left,r_0'",
+            "no column with right beside left: found t,left,r_0",
         ),
         (
             WHEELS + "0,0,0,1,1,1,7\n",
             TableOptions(ROBOT),
-            (
-                "or begin it with #, or correct the header: --columns can name all columns in its "
-                "place"
-            ),
+            "or begin it with #; or --columns names the columns in place of the header",
         ),
         (
             WHEELS + "0,0,0,1,1,1\n-5,0,0,1,1,1\n",
@@ -337,12 +333,13 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
 
 
 def test_columns_that_do_not_fit_are_refused(write):
-    assert "--columns names the columns of another header" in refusal(write(f"{NAMES}\n{TICKS}"))
+    assert "does not say where IR1,IR2,IR3 point" in refusal(write(f"{NAMES}\n{TICKS}"))
     for columns, words in (
-        ("", "--columns must name t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not ''"),
-        ("-", "r_<deg>,..., not '-'"),
-        ("t,left,r_90", "r_<deg>,..., not 't,left,r_90'"),
-        ("t,left,right", "--columns names no ranges"),
+        ("", "--columns: '' is no name of a column; it names t,left,right,r_90,"),
+        ("-", "--columns has no column with the time of each row (t) and no column with"),
+        ("t,left,r_90", "--columns has no column with right beside left"),
+        ("t,left,right", "--columns has no column with a range"),
+        ("t,left,right,battery", "--columns: 'battery' is no name of a column"),
         ("t,left,right,r_90,r_90", "--columns names the beam at 90 deg twice"),
     ):
         assert words in refusal(
@@ -382,7 +379,7 @@ def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
     path = write(WHEELS + "0,0,0,0,1,0\n0.1,0.01,0.01,1,0.0,inf\n")
     near = read_log(path, table=TableOptions(ROBOT))
     np.testing.assert_allclose(near.ranges, [[0.05, 1.0, 0.05], [1.0, 0.05, 2.0]])
-    nothing = read_log(path, table=TableOptions(ROBOT, zero_is_nothing=True))
+    nothing = read_log(path, table=TableOptions(ROBOT), missing="nothing")
     np.testing.assert_allclose(nothing.ranges, [[2.0, 1.0, 2.0], [1.0, 2.0, 2.0]])
 
 

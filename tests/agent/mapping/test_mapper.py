@@ -203,7 +203,7 @@ def test_a_start_pose_that_is_merely_finite_is_refused(name, place):
 
 
 @pytest.mark.parametrize("name", ["paper", "consistent"])
-@pytest.mark.parametrize("start", [(1e7, -1e7, 0.0), (0.0, 0.0, 1e7)])
+@pytest.mark.parametrize("start", [(9.9e6, -9.9e6, 0.0), (0.0, 0.0, 9.9e6)])
 def test_the_farthest_start_pose_is_mapped_from(name, start):
     mapper = Mapper(ROBOT, preset(name, NOISE), np.array(start))
     for _ in range(60):
@@ -247,9 +247,13 @@ def test_an_estimate_that_leaves_all_bounds_ends_in_one_line(name, has_ranges):
     mapper, told = Mapper(ROBOT, preset(name, NOISE)), {"odometry": np.array([1000.0, 0.0, 0.0])}
     if has_ranges:
         told["ranges"] = RANGES
-    with pytest.raises(ValueError, match="the estimated pose must be|the map has grown past"):
+
+    def drive_on():
         for _ in range(10_100):
             mapper.step(told)
+
+    with pytest.raises(ValueError, match=r"the estimated pose must be|the map has grown past"):
+        drive_on()
 
 
 def test_robot_and_settings_in_the_wrong_order_are_refused():

@@ -2,17 +2,19 @@
 walls.
 """
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.command_line import limslam
+from support.command_line import limslam, refused
 from support.corridors import SIX_BEAMS, corridor_log
 from support.drives import ROBOT, along, drive, room
 
 from limslam_agent import preset, read_log, replay_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.replay.misreading import misread
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
 
 
@@ -39,25 +41,28 @@ def test_ranges_in_millimetres_are_noticed(tmp_path):
     )
 
 
-def test_readings_that_jump_to_0_are_noticed(tmp_path):
+def test_readings_that_jump_to_0_saw_nothing(tmp_path):
     path = written(tmp_path, "0.8", "2.9")
     lines = path.read_text(encoding="utf-8").splitlines()
-    for row in range(5, 60, 10):
+    for row in range(5, 60, 8):
         lines[row] = lines[row].replace("2.9", "0")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith(
-        "5.1% of the readings jump from more than 0.5 m to the beam's shortest range or to 0"
+    assert warning == (
+        "6% of the readings are 0: they begin where the readings end near the longest range, so "
+        "they count as 'nothing seen'; --missing not-measured leaves them out"
     )
-    assert "--zero-is-nothing reads a table so, other logs have to be changed" in warning
-    assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
+    told = read_log(path, missing="nothing")
+    assert log_warnings(told) == []
+    np.testing.assert_array_equal(told.ranges, read_log(path).ranges)
 
 
-def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
+def test_of_a_beam_that_is_always_missing_nothing_is_known(tmp_path):
     path = written(tmp_path, "2.9", "-1")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith("50% of the readings are negative and were skipped")
-    whole = read_log(path, table=TableOptions(zero_is_nothing=True))
+    assert warning.startswith("50% of the readings are missing (nan, empty or negative): no other")
+    assert warning.endswith("--missing nothing takes them for 'nothing seen'")
+    whole = read_log(path, missing="nothing")
     assert log_warnings(whole) == []
     np.testing.assert_array_equal(whole.ranges, read_log(written(tmp_path, "2.9", "inf")).ranges)
 
@@ -67,7 +72,8 @@ def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
     [(100.0, "the median time between two events is 100 s"), (-0.1, "the times never rise")],
 )
 def test_clocks_that_are_wrong_are_noticed(tmp_path, period, said):
-    (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
+    path = written(tmp_path, period=period)
+    (warning,) = log_warnings(read_log(path, table=TableOptions(time_unit="s")))
     assert warning.startswith(said)
 
 
@@ -131,39 +137,41 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     read = replace(
         laps, odometry=laps.odometry * np.array(factors), ranges=laps.ranges[:, ::order].copy()
     )
-    warnings = log_warnings(read)
+    warnings = log_warnings(read, misread(read))
     assert len(warnings) == bool(said)
     assert all(said in warning for warning in warnings)
 
 
-def wheel_log(change):
-    """A log of wheel travel of three rounds through a ring of corridors, with the wheels
-    changed.
-    """
+@functools.cache
+def rounds():
+    """Ranges and wheel travel of three rounds through a ring of corridors."""
     walls = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
     lap = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
     observations, _ = drive(walls, np.zeros(3), along([*lap, *lap, *lap, (0.0, 0.0)]), noise=0.01)
-    ranges, wheels = (
-        np.array([each[name] for each in observations]) for name in ("ranges", "wheels")
+    return (
+        np.array([each["ranges"] for each in observations]),
+        np.array([each["wheels"] for each in observations], dtype=float),
     )
-    count = len(observations)
+
+
+def wheel_log(change):
+    """A log of three rounds, with the wheels changed."""
+    ranges, wheels = rounds()
+    count = len(ranges)
     scans = np.ones(count, dtype=bool)
     return RecordedLog(
         ROBOT,
         0.1 * np.arange(count),
-        ranges,
+        ranges.copy(),
         scans,
         np.zeros(3),
-        wheels=wheels.astype(float) @ change,
+        wheels=wheels @ change,
     )
 
 
 @pytest.mark.parametrize(
     ("change", "question"),
     [
-        ([[1, 0], [0, 1]], None),
-        ([[0, 1], [1, 0]], "are the wheels exchanged, or the beams in the wrong order?"),
-        ([[-1, 0], [0, -1]], "do the encoders of both wheels count backwards?"),
         (
             [[0, 0], [0, 0]],
             (
@@ -174,9 +182,106 @@ def wheel_log(change):
         ([[0, 0], [0, 1]], " m: is its encoder connected, and is left its column?"),
     ],
 )
-def test_exchanged_and_reversed_wheels_are_noticed(change, question):
+def test_wheels_that_never_move_are_noticed(change, question):
     found = log_warnings(wheel_log(np.array(change, dtype=float)))
-    assert not found if question is None else found[0].endswith(question)
+    assert found[0].endswith(question)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ([[1, 0], [0, -1]], "the right wheel counts the other way: --columns t,left,-right,r_90,"),
+        ([[-1, 0], [0, 1]], "the left wheel counts the other way: --columns t,-left,right,r_90,"),
+        ([[-1, 0], [0, -1]], "both wheels count the other way: --columns t,-left,-right,r_90,"),
+        (
+            [[0, 1], [1, 0]],
+            "left and right are exchanged, of the wheels or of the beams: --columns",
+        ),
+        ([[0, 1], [1, 0]], "--columns t,right,left,r_90,"),
+        ([[0, -1], [1, 0]], "--columns t,right,-left,r_90,"),
+        ([[0, 1], [-1, 0]], "--columns t,-right,left,r_90,"),
+        ([[0, -1], [-1, 0]], "the robot looks the other way"),
+        ([[2, 0], [0, 2]], "0.5 times as far as the log was read: --metres-per-tick 0.0005 "),
+        ([[0.5, 0], [0, 0.5]], "2 times as far as the log was read: --metres-per-tick 0.002 "),
+    ],
+)
+def test_wheels_that_are_read_in_a_wrong_way_are_certain_and_named(change, said):
+    found = misread(wheel_log(np.array(change, dtype=float)), 0.001)
+    assert found is not None
+    assert found.is_certain
+    assert said in found.words
+
+
+@pytest.mark.parametrize("factor", [2.0 / 3.0, 4.0 / 3.0])
+def test_an_axle_that_is_wrong_by_a_third_is_named_with_the_right_one(factor):
+    log = wheel_log(np.eye(2))
+    found = misread(replace(log, robot=replace(log.robot, axle=factor * log.robot.axle)))
+    assert found is not None
+    option, value = found.words.partition("--axle ")[1:]
+    assert option
+    assert float(value.split()[0]) == pytest.approx(ROBOT.axle, rel=0.03)
+
+
+def test_with_a_measured_heading_the_axle_does_not_matter():
+    log = wheel_log(np.eye(2))
+    left, right = log.wheels.T
+    yaw = np.cumsum((right - left) / log.robot.axle)
+    measured = replace(log, robot=replace(log.robot, axle=1.5 * log.robot.axle), yaw=yaw)
+    assert misread(measured) is None
+    halved = misread(replace(measured, wheels=0.5 * log.wheels))
+    assert halved is not None
+    assert "2 times as far" in halved.words
+
+
+@pytest.mark.parametrize("sizes", [[1.0, 1.0], [1.05, 1.0], [0.96, 0.96]])
+def test_wheels_of_slightly_other_sizes_are_not_misread(sizes):
+    assert misread(wheel_log(np.diag(sizes))) is None
+
+
+def test_a_straight_drive_along_walls_says_nothing_about_the_wheels():
+    walls = np.array([[-5.0, -0.6, 25.0, -0.6], [-5.0, 0.6, 25.0, 0.6]])
+    observations, _ = drive(walls, np.zeros(3), along([(0.0, 0.0), (15.0, 0.0)]), noise=0.01)
+    ranges, wheels = (
+        np.array([each[name] for each in observations], dtype=float)
+        for name in ("ranges", "wheels")
+    )
+    scans = np.ones(len(ranges), dtype=bool)
+    log = RecordedLog(ROBOT, 0.1 * np.arange(len(ranges)), ranges, scans, wheels=2.0 * wheels)
+    assert misread(log) is None
+
+
+def written_wheels(path, log, rows=None):
+    """A table of the first rows of a wheel log in metres, for each step."""
+    names = [f"r_{angle:g}" for angle in np.round(np.degrees(log.robot.beam_angles), 1)]
+    columns = np.column_stack((log.time, log.wheels, log.ranges))
+    header = ",".join(["t", "left", "right", *names])
+    np.savetxt(path, columns[:rows], "%.4f", ",", header=header, comments="")
+    return path
+
+
+def test_the_command_stops_at_wheels_that_are_certainly_misread(tmp_path):
+    path = written_wheels(tmp_path / "log.csv", wheel_log(np.diag([1.0, -1.0])), 450)
+    command = ("replay", path, "--robot", "paper", "--preset", "paper", "--noise", "0.01")
+    message = refused(*command, "--out", tmp_path / "out")
+    assert message.startswith(f"{path}: the ranges fit the wheels far better if the right wheel")
+    assert not (tmp_path / "out").exists()
+    finished = limslam(*command, "--as-read", "--out", tmp_path / "out")
+    assert finished.returncode == 0
+    assert "the right wheel counts the other way" in finished.stderr
+
+
+def test_the_named_axle_mends_a_table(tmp_path):
+    log = wheel_log(np.eye(2))
+    robot = tmp_path / "robot.toml"
+    robot.write_text(f"radius = {ROBOT.radius}\naxle = {1.5 * ROBOT.axle}\n", encoding="utf-8")
+    path = written_wheels(tmp_path / "log.csv", log)
+    command = ("replay", path, "--robot", robot, "--preset", "odometry", "--noise", "0.01")
+    assert "--axle 0.16" in limslam(*command, "--out", tmp_path / "wrong").stderr
+    mended = limslam(*command, "--axle", ROBOT.axle, "--out", tmp_path / "mended")
+    assert mended.returncode == 0
+    assert "--axle" not in mended.stderr
+    assert refused("replay", path, "--axle", "0.1").startswith("--axle changes the robot")
+    assert refused(*command, "--axle", "-1").startswith("--axle: ")
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -319,3 +320,49 @@ def test_a_stretch_that_no_loop_holds_is_named():
     _, judged = trusted_path(replace(data, **rows), truth[0], BRIEF)
     assert judged.loose == pytest.approx((0.0, data.time[count - 1] - data.time[0]), abs=3.0)
     assert judged.status.level == "unsure"
+
+
+# Odometry that breaks
+
+
+def with_reset(log, row):
+    """The log of a robot whose odometry begins again at the origin at an event."""
+    odometry = log.odometry.copy()
+    odometry[row:] = se2.between(odometry[row], odometry[row:])
+    return replace(log, odometry=odometry)
+
+
+def test_after_a_jump_of_odometry_the_graph_finds_the_place_again(tmp_path):
+    log, truth = recorded()
+    row = LAP + LAP // 3
+    broken = with_reset(log, row)
+    assert [each.row for each in broken.breaks] == [row]
+    replay = replay_log(broken, preset("graph", NominalNoise(0.01)))
+    assert np.hypot(*(replay.smoothed.poses - truth)[:, :2].T).mean() < 0.3
+    assert loop_errors(replay.smoothed.poses, truth, LAP).mean() < 0.15
+    assert replay.smoothed.figures["smoothed_status"] == "ok"
+    # While driving, the place after the jump is unknown until it is found again.
+    assert replay.handed_over <= row
+    assert replay.levels[row : row + 20].min() > 0
+    result = write_replay(tmp_path, replay, {"log": "broken"}, {})
+    assert result["metrics"]["smoothed_status"] == "ok"
+
+
+@pytest.mark.parametrize("preset_name", ["graph", "consistent"])
+def test_parts_that_nothing_ties_together_are_never_ok(preset_name):
+    log, _ = recorded()
+    first = as_part(log, LAP)
+    broken = with_reset(first, LAP // 2)
+    replay = replay_log(broken, preset(preset_name, NominalNoise(0.01)))
+    assert replay.levels[LAP // 2 :].min() > 0
+    if preset_name == "consistent":
+        assert replay.status.level == "unsure"
+        assert "the odometry jumps by" in replay.status.reason
+        return
+    assert replay.smoothed.figures["smoothed_status"] == "unsure"
+    assert re.search("odometry jumps .* at 69 s", replay.smoothed.figures["smoothed_status_reason"])
+
+
+def as_part(log, count):
+    names = "time", "ranges", "has_scan", "odometry"
+    return replace(log, **{name: getattr(log, name)[:count] for name in names})

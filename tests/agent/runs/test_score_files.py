@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.command_line import refused, told
+from support.command_line import limslam, refused, told
 from support.runs import read_poses, run, write_poses
 
 from limslam_env.geometry import se2
@@ -158,6 +158,28 @@ class TestScores:
             "none",
         )
         assert scores["heading_rmse_deg"] == pytest.approx(0.0, abs=1e-5)
+
+    def test_poses_out_of_the_plane_get_a_word(self, tmp_path):
+        true, _ = drive(count=50)
+        x, y, heading = true.T
+        nothing, half = np.zeros(50), 0.5 * heading
+        in_space = {
+            "flat": (x, y, nothing + 0.4, nothing, nothing, np.sin(half), np.cos(half)),
+            "tilted": (x, y, 0.1 * x, nothing, np.sin(0.2 * x), nothing, np.cos(0.2 * x)),
+            "camera": (x, nothing, y, nothing, -np.sin(half), nothing, np.cos(half)),
+        }
+        for name, columns in in_space.items():
+            np.savetxt(tmp_path / f"{name}.tum", np.column_stack((np.arange(50.0), *columns)))
+        files = {name: ("--true", "flat.tum", "--est", f"{name}.tum") for name in in_space}
+        said = {
+            name: limslam("score", *options, cwd=tmp_path).stderr for name, options in files.items()
+        }
+        assert said["flat"] == ""
+        assert said["tilted"].startswith("limslam: warning: tilted.tum: z changes by 0.2")
+        assert said["tilted"].endswith("their projection on the plane x-y is scored\n")
+        assert said["camera"].startswith("limslam: warning: camera.tum: z changes by ")
+        assert "is it in the axes of a camera?" in said["camera"]
+        assert all(text.count("\n") <= 1 for text in said.values())
 
 
 class TestRefusals:

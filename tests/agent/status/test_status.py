@@ -188,6 +188,30 @@ def monitor():
     return StatusMonitor(ROBOT, SENSOR)
 
 
+def broken_after(readings):
+    """The broken beam of a robot that turns by 0.1 rad before each row of readings (n, 6), m."""
+    watched = monitor()
+    for row in readings:
+        if watched.observe(Sight(place(0), row, np.array([0.0, 0.0, 0.1])), is_busy=True):
+            watched.check(SURE, KNOWN)
+        if watched.broken is not None:
+            return watched.broken
+    return None
+
+
+def test_equal_readings_far_apart_are_no_broken_beam():
+    # In a corridor, a beam that turns sees each wall for a moment, always at the same distances.
+    since = (np.arange(400)[:, None] + 3 * np.arange(6)) % 31
+    assert broken_after(np.where(since < 3, 0.8 + 0.05 * (since != 1), np.nan)) is None
+
+
+@pytest.mark.parametrize("every", [1, 3, 6])
+def test_a_stuck_beam_is_found_by_the_readings_that_it_has(every):
+    readings = np.random.default_rng(0).uniform(0.2, 1.4, (200, 6))
+    readings[:, 2] = np.where(np.arange(200) % every == 0, 0.8, np.nan)
+    assert broken_after(readings) == 2
+
+
 def place(number):
     """A pose on a small circle about the middle of the room."""
     angle = 0.1 * number

@@ -15,7 +15,7 @@ COMPARED = """
 import gymnasium as gym
 import numpy as np
 import limslam_env
-from limslam_env import FloorPlanConfig, NoiseConfig
+from limslam_env import FloorPlanConfig, NoiseConfig, RobotSpec, SensorSpec
 
 def compare(name, steps, **arguments):
     here, there = (
@@ -39,7 +39,9 @@ def compare(name, steps, **arguments):
         np.testing.assert_array_equal(there.seen(env), here.seen(env))
 
 noise = NoiseConfig.sharp(sensor_noise=(0.01, 0.03), slip_rate=3.0, axle_mismatch=(-0.05, 0.05))
-compare("LimSlam-Env1-v0", 24, noise=noise, max_episode_steps=8)
+beams = tuple(SensorSpec(0.0, 0.0, 2.0 * beam, period=3, phase=beam) for beam in range(3))
+robot = RobotSpec(beams=beams)
+compare("LimSlam-Env1-v0", 24, noise=noise, max_episode_steps=8, robot=robot)
 plans = FloorPlanConfig(width=3.0, height=3.0)
 compare("LimSlam-World-v0", 24, world=plans, plans=3, sensor_noise=0.02, coverage_goal=0.2)
 

@@ -103,6 +103,7 @@ def odd_robots(draw):
     """A robot with beams anywhere on and in its body."""
     radius = draw(st.floats(0.03, 0.25))
     place, angle = st.floats(-0.7 * radius, 0.7 * radius), st.floats(-10.0, 10.0)
+    schedule = draw(st.sampled_from([(1, 0), (2, 0), (3, 2), (4, 1)]))
     beams = st.builds(
         SensorSpec,
         place,
@@ -110,7 +111,8 @@ def odd_robots(draw):
         angle,
         min_range=st.sampled_from([0.0, 0.05]),
         max_range=st.floats(0.06, 4.0),
-        period=st.integers(1, 4),
+        period=st.just(schedule[0]),
+        phase=st.just(schedule[1]),
     )
     return RobotSpec(
         radius=radius,

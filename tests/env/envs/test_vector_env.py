@@ -104,6 +104,7 @@ def test_it_is_the_same_in_corners_and_at_corners_of_obstacles():
             beams=(
                 SensorSpec(0.02, 0.05, 0.4, period=3),
                 SensorSpec(-0.03, 0.0, 2.0, max_range=0.7),
+                SensorSpec(0.02, -0.05, -0.4, period=4, phase=3),
             )
         ),
         RobotSpec(beams=beams_on_rim(tuple(range(0, 360, 24)), 0.1, max_range=12.0)),

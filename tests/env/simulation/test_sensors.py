@@ -411,22 +411,27 @@ def test_a_cone_does_not_look_through_a_wall_that_the_robot_touches(depth):
         assert hits[0] == 0
 
 
-def test_a_beam_with_a_period_repeats_its_last_reading():
+def test_a_beam_measures_at_the_reset_and_then_once_a_period_in_its_phase():
+    schedule = ((1, 0), (2, 0), (5, 0), (5, 1), (5, 4))
+    angles = -0.5 * math.pi + 0.1 * np.arange(-2.0, 3.0)
     beams = tuple(
-        SensorSpec(0.10 * math.cos(angle), 0.10 * math.sin(angle), angle, period=period)
-        for angle, period in ((-math.pi / 2, 1), (-math.pi / 2 + 0.1, 2), (-math.pi / 2 - 0.1, 5))
+        SensorSpec(
+            0.10 * math.cos(angle), 0.10 * math.sin(angle), angle, period=period, phase=phase
+        )
+        for angle, (period, phase) in zip(angles.tolist(), schedule, strict=True)
     )
-    simulation = Simulation(
-        box_with((1.2, 0.4, 1.6, 0.4), (2.0, 0.4, 2.4, 0.4)), RobotSpec(beams=beams)
-    )
+    robot = RobotSpec(beams=beams)
+    simulation = Simulation(box_with((1.2, 0.4, 1.6, 0.4), (2.0, 0.4, 2.4, 0.4)), robot)
     noise, seeds = NoiseConfig(sensor_noise=0.02), np.random.SeedSequence(3)
     results = [simulation.reset(seeds, noise, np.array([0.8, 1.0, 0.0]))]
     results += [simulation.step([(1.0, 1.0)]) for _ in range(40)]
     ranges = np.array([readings.ranges[0] for readings, _ in results])
     seen = np.array([truth.wall_seen[0] for _, truth in results])
-    for beam, period in enumerate((1, 2, 5)):
+    assert robot.measures(0).all()
+    for beam, (period, phase) in enumerate(schedule):
         for step in range(1, 41):
-            repeats = step % period != 0
+            repeats = step % period != phase
+            assert robot.measures(step)[beam] != repeats
             assert (ranges[step, beam] == ranges[step - 1, beam]) == repeats
             assert not repeats or seen[step, beam] == seen[step - 1, beam]
         assert len(set(seen[:, beam].tolist())) > 1, "the walls seen change on the way"

@@ -178,7 +178,10 @@ def test_cones_are_modelled_alike() -> None:
 
 
 def test_other_robots_and_unsteady_beams() -> None:
-    robot = ring(20)
+    beams = ring(20).beams
+    robot = RobotSpec(
+        beams=tuple(replace(beam, period=4, phase=at % 4) for at, beam in enumerate(beams))
+    )
     observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP[:3], robot=robot), robot, 0.02)
     for number, seen in enumerate(observations):
         seen["ranges"][number % 20] = np.nan

@@ -25,6 +25,7 @@ from limslam_agent.slam.graph.key_poses import (
     choose_keys,
     corrected,
     delayed,
+    event_poses,
     joined_bias,
     odometry_trajectory,
 )
@@ -84,6 +85,62 @@ def test_a_log_whose_times_do_not_tell_its_events_apart_keeps_its_odometry():
     for delay in (0.0, 0.3):
         np.testing.assert_array_equal(delayed(same, delay).odometry, log.odometry)
     np.testing.assert_array_equal(delayed(log, 0.0).odometry, log.odometry)
+
+
+def with_odometry_rows(log, earlier=0.0):
+    """The log with a row of odometry alone before each event, at its pose."""
+    rows = np.repeat(np.arange(len(log.time)), 2)
+    time = log.time[rows]
+    time[::2] -= earlier
+    hit = log.hit[rows]
+    hit[::2] = False
+    return replace(log, time=time, odometry=log.odometry[rows], ranges=log.ranges[rows], hit=hit)
+
+
+@pytest.mark.parametrize("earlier", [0.0, 0.004])
+def test_points_are_the_same_whichever_row_has_the_motion(earlier):
+    log = wandering()
+    plain, split = keys_of(log), keys_of(with_odometry_rows(log, earlier))
+    assert len(plain.in_robot) > 400
+    np.testing.assert_array_equal(plain.in_robot, split.in_robot)
+    np.testing.assert_array_equal(plain.point_key, split.point_key)
+    np.testing.assert_allclose(plain.step, split.step, atol=1e-12)
+    np.testing.assert_allclose(plain.point_travel, split.point_travel, atol=1e-12)
+    np.testing.assert_allclose(plain.share, split.share[1::2], atol=1e-9)
+    delays = [delayed(each, 0.15).odometry for each in (log, with_odometry_rows(log, earlier))]
+    np.testing.assert_allclose(delays[0][5:-5], delays[1][1::2][5:-5], atol=0.01)
+    assert np.abs(delays[0] - log.odometry).max() > 0.01
+
+
+def test_each_beam_gives_a_point_after_its_own_way():
+    log = wandering()
+    turns = np.arange(len(log.time))[:, None] % log.hit.shape[1] == np.arange(log.hit.shape[1])
+    keys = keys_of(replace(log, ranges=np.full_like(log.ranges, 1.0), hit=turns))
+    assert len(keys.in_robot) == len(log.time)
+    slow = replace(log, odometry=log.odometry * [0.2, 0.2, 0.0], hit=np.ones_like(log.hit))
+    points = choose_keys(slow, PointConfig(points_per_metre=1000.0))
+    per_beam = len(points.in_robot) / log.hit.shape[1]
+    driven = points.driven
+    assert 0.6 * driven / 0.015 < per_beam <= driven / 0.015 + 1
+
+
+def test_a_break_of_odometry_parts_a_log_in_two():
+    log = wandering()
+    stds = np.array([[2.0, 2.0, 1.0]])
+    parted = keys_of(replace(log, breaks=np.array([90]), break_stds=stds))
+    plain = keys_of(log)
+    (key,) = parted.breaks
+    assert parted.first_event[key] == 90
+    np.testing.assert_allclose(parted.step_variances[key - 1], stds[0] ** 2, rtol=0.01)
+    assert parted.step_variances[: key - 1].max() < 0.01
+    assert parted.driven == pytest.approx(plain.driven, abs=0.1)
+    assert parted.key_driven[-1] == pytest.approx(plain.key_travel[-1], abs=0.3)
+    # A correction of the motion across moves no event before it.
+    local = odometry_trajectory(parted, np.zeros(3))
+    moved = local.poses.copy()
+    moved[key:, :2] += 5.0
+    before = event_poses(parted, Trajectory(moved, local.bias))[:90]
+    np.testing.assert_allclose(before, event_poses(parted, local)[:90], atol=1e-4)
 
 
 def central_differences(function, values, step=1e-6):

@@ -71,6 +71,25 @@ def test_the_same_log_gives_the_same_poses_and_the_stages_are_reported(two_laps)
     assert int(match[1]) >= sum(loop.reason == KEPT for loop in result.loops) >= 5
 
 
+def test_rows_of_odometry_between_scans_change_nothing(two_laps):
+    log, truth, result = two_laps
+    rows = np.repeat(np.arange(len(log.time)), 2)
+    hit = log.hit[rows]
+    hit[::2] = False
+    split = replace(
+        log, time=log.time[rows], odometry=log.odometry[rows], ranges=log.ranges[rows], hit=hit
+    )
+    poses = smooth_log(split, truth[0], CONFIG).poses[1::2]
+    assert np.abs(se2.between(poses, result.poses)).max() < 0.01
+
+
+def test_few_scans_between_many_rows_of_odometry_come_out_right(two_laps):
+    log, truth, _ = two_laps
+    hit = log.hit & (np.arange(len(log.time)) % 4 == 2)[:, None]
+    poses = smooth_log(replace(log, hit=hit), truth[0], CONFIG).poses
+    assert loop_errors(poses, truth, LAP).mean() < 0.15
+
+
 def test_start_pose_and_frame_of_odometry_only_move_the_result(two_laps):
     log, truth, result = two_laps
     start = np.array([3.7, -12.2, 2.5])

@@ -1,0 +1,327 @@
+"""Turns the odometry of a table into wheel travel or poses: counters, speeds, travelled distances
+and turns. A heading or a turn rate of an inertial measurement unit is compared with the wheels.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from limslam_agent.logs.columns import Dimension, Role
+from limslam_agent.logs.table_layout import Form, Layout
+from limslam_agent.logs.table_options import TableOptions, scale
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.interface import RobotSpec
+
+_WHEELS = (Role.LEFT, Role.RIGHT)
+_QUATERNION = (Role.QX, Role.QY, Role.QZ, Role.QW)
+_SPEEDS = {Dimension.SPEED, Dimension.TURN_RATE}
+# rad/s: a robot that turns faster for more than one row in twenty has its heading in degrees
+_FASTEST_TURN = 2.0 * np.pi
+_FULL_TURN = 6.6  # headings in radians that lie farther apart than this are not wrapped
+_LEAST_TURNED = 1.0  # rad by the wheels, below which nothing can be said about another heading
+# A heading follows the wheels if it turns by their turn within this factor, and correlates.
+_LARGEST_FACTOR = 2.5
+_LEAST_CORRELATION = 0.5
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """The odometry of a table, with one row for each of its rows.
+
+    Attributes
+    ----------
+    wheels
+        Left and right wheel travel since the row before (n, 2), m, or None.
+    poses
+        Poses (n, 3), m, m, rad, or None. There are either wheels or poses.
+    yaw
+        Heading by an inertial measurement unit (n,), rad, counter-clockwise, NaN where it has no
+        reading, or None.
+    units
+        The unit in which each column was read.
+    is_speed
+        Whether the odometry was calculated from speeds.
+    question
+        What to ask where the travel is impossible. Empty for the travel of wheels.
+    notes
+        What was found and assumed, in words.
+    """
+
+    wheels: FloatArray | None
+    poses: FloatArray | None
+    yaw: FloatArray | None
+    units: dict[Role, str]
+    is_speed: bool
+    question: str
+    notes: tuple[str, ...]
+
+
+def odometry_of(
+    layout: Layout,
+    values: Mapping[Role, FloatArray],
+    time: FloatArray,
+    period: float,
+    options: TableOptions,
+) -> Odometry:
+    """The odometry of a table.
+
+    Parameters
+    ----------
+    layout
+        What the columns are used for.
+    values
+        The numbers (n,) of each column that is used, as they stand in the file, but with the sign
+        of the column.
+    time
+        Times (n,), s.
+    period
+        Usual time between two rows, s.
+    options
+        The robot and the units that the user has named.
+
+    Raises
+    ------
+    ValueError
+        If the robot or the radius of its wheels is needed and not given, or a unit in a name and
+        an option do not agree.
+    """
+    return _Conversion(layout, values, time, period, options).odometry()
+
+
+class _Conversion:
+    """The columns of one table with what was found about them so far."""
+
+    def __init__(
+        self,
+        layout: Layout,
+        values: Mapping[Role, FloatArray],
+        time: FloatArray,
+        period: float,
+        options: TableOptions,
+    ) -> None:
+        self.layout, self.values, self.options = layout, values, options
+        self.period = period
+        self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
+        self.units: dict[Role, str] = {}
+        self.notes: list[str] = []
+        self.is_speed = False
+
+    def odometry(self) -> Odometry:
+        wheels = poses = yaw = None
+        robot = self.options.robot
+        if self.layout.form is Form.POSES:
+            poses = self._poses()
+        elif self.layout.form is Form.WHEELS:
+            if robot is None:
+                raise ValueError(
+                    "a table of wheel travel needs --robot FILE, with the robot's axle, radius "
+                    "and beams"
+                )
+            wheels = self._wheels(robot)
+            yaw = self._inertial(np.diff(wheels, axis=1)[:, 0] / robot.axle)
+        else:
+            forward, turn = self._motion()
+            axle = 1.0 if robot is None else robot.axle
+            wheels = np.column_stack((forward - 0.5 * axle * turn, forward + 0.5 * axle * turn))
+            if robot is None:
+                start = np.zeros(3)
+                poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
+                wheels = None
+        question = ""
+        if self.is_speed:
+            question = "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
+        elif self.layout.form is Form.MOTION:
+            question = (
+                "Is the distance in metres, since the row before? --position-unit and "
+                "--accumulated say otherwise"
+            )
+        return Odometry(wheels, poses, yaw, self.units, self.is_speed, question, tuple(self.notes))
+
+    def _scaled(self, role: Role, usual: str) -> FloatArray:
+        """A column in m, rad, m/s or rad/s. ``usual`` is its unit where nothing says another."""
+        unit = self.options.unit_of(self.layout.column(role)) or usual
+        self.units[role] = unit
+        return self.values[role] * scale(unit)
+
+    def _wheels(self, robot: RobotSpec) -> FloatArray:
+        """Travel of both wheels (n, 2), m, since the row before."""
+        columns = [self.layout.column(role) for role in _WHEELS]
+        if columns[0].dimension in _SPEEDS:
+            self._say_that_ticks_do_not_matter()
+            speeds = np.column_stack([self._wheel_speed(role) for role in _WHEELS])
+            return speeds * self.spacing[:, None]
+        metres = np.full(2, self.options.metres_per_tick)
+        for place, column in enumerate(columns):
+            is_length = column.dimension is Dimension.LENGTH
+            metres[place] = scale(column.unit or "m") if is_length else metres[place]
+            ticks = f"{self.options.metres_per_tick:g} m for each 1"
+            self.units[_WHEELS[place]] = (column.unit or "m") if is_length else ticks
+        if columns[0].dimension is Dimension.LENGTH and self.options.metres_per_tick != 1.0:
+            self.notes.append(
+                f"--metres-per-tick is not used: by its name {columns[0].name} is in "
+                f"{columns[0].unit}"
+            )
+        counters = np.column_stack([self.values[role] for role in _WHEELS])
+        return self.options.travel(counters, metres, robot.max_wheel_speed, self.period)
+
+    def _wheel_speed(self, role: Role) -> FloatArray:
+        """Speed of a wheel (n,), m/s."""
+        column = self.layout.column(role)
+        speed = self._scaled(role, "m/s")
+        if column.dimension is Dimension.SPEED:
+            return speed
+        if self.options.wheel_radius is None:
+            raise ValueError(
+                f"the column {column.name[:40]!r} is the speed of a wheel in {self.units[role]}: "
+                "--wheel-radius says the radius of the wheels, m; or --columns names a speed in "
+                "m/s, as in left_m_s"
+            )
+        return speed * self.options.wheel_radius
+
+    def _motion(self) -> tuple[FloatArray, FloatArray]:
+        """Travelled distance (n,), m, and turn (n,), rad, since the row before."""
+        roles = self.layout.motion
+        if Role.DISTANCE in roles:
+            forward = self._since_before(self._scaled(Role.DISTANCE, "m"))
+        else:
+            forward = self._scaled(Role.SPEED, "m/s") * self.spacing
+        if Role.ANGLE in roles:
+            turn = self._since_before(self._in_degrees_if_fast(Role.ANGLE, "rad"))
+        elif Role.TURN_RATE in roles or Role.YAW_RATE in roles:
+            role = Role.TURN_RATE if Role.TURN_RATE in roles else Role.YAW_RATE
+            turn = self._in_degrees_if_fast(role, "rad/s") * self.spacing
+        else:
+            heading = self._heading()
+            turn = se2.wrap_angle(np.diff(heading, prepend=heading[:1]))
+        self.is_speed = Role.SPEED in roles
+        if self.is_speed:
+            self._say_that_ticks_do_not_matter()
+        forward[0] = turn[0] = 0.0
+        return forward, turn
+
+    def _since_before(self, column: FloatArray) -> FloatArray:
+        """A column of travel or turn (n,) since the row before."""
+        if not self.options.accumulated:
+            return column.copy()
+        return np.diff(column, prepend=column[:1])
+
+    def _poses(self) -> FloatArray:
+        position = [self._scaled(role, "m") for role in (Role.X, Role.Y)]
+        return np.column_stack((*position, self._heading()))
+
+    def _heading(self) -> FloatArray:
+        """The heading of poses (n,), rad."""
+        if Role.QW in self.layout.motion:
+            return _yaw_of([self.values[role] for role in _QUATERNION])
+        role = Role.HEADING if Role.HEADING in self.layout.motion else Role.YAW
+        return self._in_degrees_if_fast(role, "rad")
+
+    def _in_degrees_if_fast(self, role: Role, usual: str) -> FloatArray:
+        """An angle or a turn rate, rad or rad/s, of which degrees are taken if in radians the robot
+        would turn faster than any does.
+        """
+        known = self.options.unit_of(self.layout.column(role))
+        raw = self.values[role]
+        if role in (Role.TURN_RATE, Role.YAW_RATE):
+            rates = np.abs(raw)
+        elif role is Role.ANGLE and not self.options.accumulated:
+            rates = np.abs(raw[1:]) / np.maximum(self.spacing[1:], 1e-9)
+        else:
+            rates = np.abs(np.diff(raw)) / np.maximum(self.spacing[1:], 1e-9)
+            if np.ptp(raw) < _FULL_TURN:
+                rates = rates[:0]
+        moving = rates[rates > 0.0]
+        fast = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
+        if known is None and fast > _FASTEST_TURN:
+            usual = usual.replace("rad", "deg")
+            self.notes.append(
+                f"the column {self.layout.column(role).name} is read in {usual}: in radians the "
+                f"robot would turn at {fast:.3g} rad/s; --angle-unit says another unit"
+            )
+        return self._scaled(role, usual)
+
+    def _inertial(self, turns: FloatArray) -> FloatArray | None:
+        """The heading of an inertial measurement unit (n,), rad, beside wheels that turn the robot
+        by ``turns`` (n,), rad. None without one that follows them.
+        """
+        roles = self.layout.inertial
+        if not roles:
+            return None
+        if Role.QW in roles:
+            name = self.layout.column(Role.QW).name
+            choices = {"": _yaw_of([self.values[role] for role in _QUATERNION])}
+            role = Role.QW
+        else:
+            role = next(iter(roles))
+            name = self.layout.column(role).name
+            known = self.options.unit_of(self.layout.column(role))
+            rate = "/s" if role is Role.YAW_RATE else ""
+            units = (f"rad{rate}", f"deg{rate}") if known is None else (known,)
+            choices = {unit: self._integrated(role, unit) for unit in units}
+        unit, factor = _best(choices, turns)
+        if unit is None:
+            self.notes.append(
+                f"the heading in {name} does not follow the turns by the wheels, and is left out"
+            )
+            return None
+        if unit:
+            self.units[role] = unit
+        if factor < 0.0:
+            self.notes.append(
+                f"the heading in {name} counts against the turns by the wheels, and is read the "
+                f"other way: -{role} in --columns says so, or left and right are exchanged"
+            )
+        yaw = float(np.copysign(1.0, factor)) * choices[unit]
+        return np.where(np.isfinite(yaw), se2.wrap_angle(yaw), np.nan)
+
+    def _integrated(self, role: Role, unit: str) -> FloatArray:
+        """A heading (n,), rad, from a column of headings or of turn rates in a unit."""
+        column = self.values[role] * scale(unit)
+        if role is not Role.YAW_RATE:
+            return column
+        # A rate that is missing leaves the heading unknown from there on, so the last one is kept.
+        rows = np.maximum.accumulate(np.where(np.isfinite(column), np.arange(len(column)), 0))
+        return np.nancumsum(column[rows] * self.spacing)
+
+    def _say_that_ticks_do_not_matter(self) -> None:
+        self.is_speed = True
+        unused = [
+            option
+            for option, is_given in (
+                ("--metres-per-tick", self.options.metres_per_tick != 1.0),
+                ("--accumulated", self.options.accumulated),
+            )
+            if is_given
+        ]
+        if unused:
+            are = "are" if len(unused) > 1 else "is"
+            self.notes.append(f"the columns hold speeds, so {' and '.join(unused)} {are} not used")
+
+
+def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | None, float]:
+    """The unit in which a heading follows the turns (n,) by the wheels, rad, and by which factor.
+    None if there is none.
+    """
+    if np.abs(turns).sum() < _LEAST_TURNED:
+        first, *others = choices
+        is_wide = bool(others) and float(np.ptp(np.nan_to_num(choices[first]))) > _FULL_TURN
+        return (others[0] if is_wide else first), 1.0
+    best, factor, correlation = None, 1.0, _LEAST_CORRELATION
+    by_wheels = np.cumsum(turns)
+    for unit, heading in choices.items():
+        is_there = np.isfinite(heading)
+        turned = se2.wrap_angle(np.diff(heading[is_there]))
+        expected = np.diff(by_wheels[is_there])
+        together = float(turned @ expected)
+        slope = together / max(float(expected @ expected), 1e-12)
+        found = abs(together) / max(float(np.linalg.norm(turned) * np.linalg.norm(expected)), 1e-12)
+        if found >= correlation and 1.0 / _LARGEST_FACTOR <= abs(slope) <= _LARGEST_FACTOR:
+            best, factor, correlation = unit, slope, found
+    return best, factor
+
+
+def _yaw_of(quaternion: list[FloatArray]) -> FloatArray:
+    """Headings (n,), rad, of quaternions x, y, z, w of any length."""
+    x, y, z, w = quaternion
+    return np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)

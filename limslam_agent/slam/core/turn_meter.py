@@ -1,0 +1,154 @@
+"""The turn of each step by the heading of an inertial measurement unit (IMU), beside the wheels.
+
+The heading of an IMU is (1 + k) times the robot's turn, an unknown start, a random walk, and a
+drift: the zero error of its gyroscope, summed up. It does not know of slip. So a turn is the
+difference of two headings, and the wheels say how far the robot went (J. Borenstein and L. Feng,
+"Gyrodometry", 1996). The estimator finds scale and drift; here is what depends on neither.
+
+The wheels give the turn where the IMU has no new reading, where its heading jumps, as that of a
+compass does near iron, and while the robot stands, which shows the drift alone. A heading that is
+the same as before, although the wheels have turned the robot, is the old reading again.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from limslam_agent.slam.core.encoder_ticks import tick_by
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import NominalNoise, RobotSpec
+
+LEAST_VARIANCE = 1e-10
+"""Added to the variance of each turn, rad^2."""
+
+LONGEST_GAP = 1.0
+"""The next heading says how far the robot turned in a gap up to this long, s. In a longer one, the
+error of the wheels' turn moves the position, too.
+"""
+
+STILL = 1.0
+"""A robot stands if no wheel has moved for this long, s: the encoder of a slow wheel has ticks."""
+
+FASTEST_DRIFT = math.radians(3.0)
+"""A standing robot whose heading turns faster than this, rad/s, is being turned."""
+
+JUMP = math.radians(20.0)
+"""A heading jumps if it turns by this much more, rad, than slip of both wheels explains."""
+
+
+_SURE = 3.0  # standard deviations of the wheels' turn
+
+
+class Turn(NamedTuple):
+    """How far a robot turned in one step.
+
+    Attributes
+    ----------
+    angle, variance
+        The turn, rad, and its variance, rad^2.
+    measured, seconds
+        The turn that the IMU has measured, rad, and for how long, s; both 0 where the wheels give
+        the angle. After a gap, they are those of the whole gap.
+    jitter
+        Variance of the heading about the sum of all turns, rad^2: by the resolution of the IMU, and
+        by the wheels until the IMU has its next reading.
+    drift, drift_variance
+        The drift that a standing robot shows, rad/s, and its variance; None for one that drives.
+    """
+
+    angle: float
+    variance: float
+    measured: float = 0.0
+    seconds: float = 0.0
+    jitter: float = 0.0
+    drift: float | None = None
+    drift_variance: float = 0.0
+
+
+class TurnMeter:
+    """Measures the turns of one robot, step by step."""
+
+    def __init__(self, robot: RobotSpec, noise: NominalNoise) -> None:
+        self._robot, self._noise = robot, noise
+        self._yaw, self._tick, self._still = math.nan, 0.0, 0.0
+        self._since_reading()
+
+    def step(self, yaw: float, wheels: FloatArray) -> Turn:
+        """The turn of the next step.
+
+        Parameters
+        ----------
+        yaw
+            The heading after the step, rad; NaN without a reading.
+        wheels
+            Travel (2,) of left and right wheel in the step, m.
+        """
+        left, right = float(wheels[0]), float(wheels[1])
+        period, axle, travel = self._robot.control_period, self._robot.axle, abs(left) + abs(right)
+        turn = (right - left) / axle
+        self._still = 0.0 if travel else self._still + period
+        self._seconds += period
+        self._turned += turn
+        self._slipping += travel / axle
+        self._variance += self._noise.wheel_variance * travel / axle**2 + LEAST_VARIANCE
+        if math.isnan(yaw):
+            return self._without_reading(turn)
+        if math.isnan(self._yaw):
+            return self._read(yaw, Turn(turn, self._variance))
+        own = float(wrap_angle(yaw - self._yaw))
+        unnoticed = max(self._tick, 0.0) + _SURE * math.sqrt(self._variance)
+        # A unit whose heading has never changed may not work at all.
+        if not own and (not self._tick or abs(self._turned) > unnoticed):
+            return self._without_reading(turn, math.nan if self._tick else yaw)
+        return self._read(yaw, self._by_heading(own, turn))
+
+    def _by_heading(self, own: float, by_wheels: float) -> Turn:
+        """The turn of a step in which the heading has turned, rad, since its last reading."""
+        seconds, before = self._seconds, self._resolution_variance
+        self._tick = tick_by(self._tick, own)
+        jitter = self._resolution_variance
+        random_walk = self._noise.yaw_std**2 * seconds + LEAST_VARIANCE
+        off = float(wrap_angle(own - self._turned))
+        if abs(off) > JUMP + self._slipping:
+            return Turn(by_wheels, self._variance, jitter=jitter)
+        if self._still > STILL and abs(off) < FASTEST_DRIFT * seconds:
+            variance = (random_walk + 2.0 * jitter) / seconds**2
+            drift = off / seconds
+            return Turn(0.0, LEAST_VARIANCE, jitter=jitter, drift=drift, drift_variance=variance)
+        first = max(jitter - before, 0.0)  # see ``encoder_ticks.first_jitter``
+        measured = self._turned + off
+        return Turn(by_wheels + off, random_walk + first, measured, seconds, jitter)
+
+    def _without_reading(self, turn: float, after_gap: float = math.nan) -> Turn:
+        """The turn of the wheels, whose error ends with the next heading, if that is soon.
+
+        After a long gap, turns are counted from the heading ``after_gap``, rad; NaN for the next.
+        """
+        if math.isnan(self._yaw) or self._seconds > LONGEST_GAP:
+            return self._read(after_gap, Turn(turn, self._variance))
+        return Turn(turn, LEAST_VARIANCE, jitter=self._resolution_variance + self._variance)
+
+    def _read(self, yaw: float, turn: Turn) -> Turn:
+        self._yaw = yaw
+        self._since_reading()
+        return turn
+
+    def _since_reading(self) -> None:
+        """Begin to add up the time, s, the wheels' turn, rad, its variance, and the turn by slip of
+        all that they travel.
+        """
+        self._seconds = self._turned = self._variance = self._slipping = 0.0
+
+    @property
+    def _resolution_variance(self) -> float:
+        return max(self._tick, 0.0) ** 2 / 12.0
+
+
+def turns_of(
+    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+) -> list[Turn]:
+    """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m."""
+    meter = TurnMeter(robot, noise)
+    return [meter.step(*each) for each in zip(yaw.tolist(), np.asarray(wheels), strict=True)]
