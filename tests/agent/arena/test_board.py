@@ -82,6 +82,13 @@ def test_rows_that_no_run_can_have_are_refused(folders, changes, reason):
     assert "line 1: is no row of results" in str(refusal.value)
 
 
+def test_a_negative_cost_is_refused(folders):
+    path = folders[0] / RESULTS
+    path.write_text(path.read_text().replace('"cpu_s": 2.0', '"cpu_s": -5.0'))
+    with pytest.raises(ValueError, match="a cost is negative"):
+        board(folders)
+
+
 @pytest.mark.parametrize("name", ["lost", "touches", "plan_time_to_95_s", "anees_final"])
 def test_a_row_without_a_metric_is_refused(folders, name):
     path = folders[0] / RESULTS

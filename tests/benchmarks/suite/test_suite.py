@@ -109,7 +109,7 @@ def test_faults_begin_when_the_seed_says():
         ),
         (
             GRID.replace("0.02", "-0.02"),
-            "noise (range_std) must be a number of 0 or more, not -0.02",
+            "noise (range_std) must be a number from 0 to 1000, not -0.02",
         ),
         (GRID + "presets = ['best']\n", "no preset is called 'best'"),
         (GRID + "robots = [0]\n", "there can be 1 to 8 robots, not 0"),
