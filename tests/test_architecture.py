@@ -10,8 +10,13 @@ from pathlib import Path
 import pytest
 
 GEOMETRY, INTERFACE = "limslam_env.geometry", "limslam_env.interface"
-# The last one is about text only.
-WHAT_AN_AGENT_MAY_KNOW = {GEOMETRY, INTERFACE, "limslam_env.messages"}
+# The last two are about text only.
+WHAT_AN_AGENT_MAY_KNOW = {
+    GEOMETRY,
+    INTERFACE,
+    "limslam_env.messages",
+    "limslam_env.toml_text",
+}
 
 
 def env(*names: str) -> set[str]:
@@ -29,6 +34,7 @@ ENV = {
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
+    "limslam_env.toml_text": set(),
     "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
     "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
@@ -77,6 +83,7 @@ AGENT = {
     "limslam_agent.readings": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.dropouts": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.safe_files": {"limslam_env.messages"},
+    "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
@@ -114,7 +121,17 @@ AGENT = {
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "slam", "slam.core", "grid", "kernels", "status", "safe_files"),
+        *agent(
+            "belief",
+            "config",
+            "slam",
+            "slam.core",
+            "grid",
+            "kernels",
+            "status",
+            "map_file",
+            "safe_files",
+        ),
     },
     "limslam_agent.policies": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -137,7 +154,10 @@ AGENT = {
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.measurements": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
-    "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
+    "limslam_agent.output": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("slam.core", "grid", "map_file", "safe_files"),
+    },
     "limslam_agent.output.formats": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("grid", "output", "places", "safe_files"),

@@ -5,10 +5,11 @@ ignored.
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from benchmarks.suite.jobs import RANDOM, Job, Suite, digest
 from benchmarks.suite.runner import contents, run_config
@@ -17,7 +18,9 @@ from limslam_env.messages import described, one_line
 
 FOLDER = Path(__file__).parent / "suites"
 NO_ABLATION = "none"
-MAX_SEEDS = 100_000
+T = TypeVar("T")
+MAX_JOBS = 5000
+"""Most jobs of a suite."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +31,8 @@ class _Seeds:
     count: int
 
     def __post_init__(self) -> None:
-        if not 1 <= self.count <= MAX_SEEDS:
-            raise ValueError(f"a grid has 1 to {MAX_SEEDS} seeds, not {described(self.count)}")
+        if not 1 <= self.count <= MAX_JOBS:
+            raise ValueError(f"a grid has 1 to {MAX_JOBS} seeds, not {described(self.count)}")
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,16 @@ class _Grid:
     limit: bool = False
 
     def jobs(self, first_seed: int | None) -> list[Job]:
-        """The jobs, with seeds that are moved so that ``first_seed`` is the lowest one."""
+        """The jobs, with seeds that are moved so that ``first_seed`` is the lowest one. One more
+        than ``MAX_JOBS`` stands for all that are too many.
+        """
         seeds = self.seeds
         chosen = (
             seeds if isinstance(seeds, tuple) else range(seeds.first, seeds.first + seeds.count)
         )
         moved = 0 if first_seed is None else first_seed - min(chosen, default=0)
         axes = (
-            [each for world in self.worlds for each in _worlds(world)],
+            list(_first_jobs(each for world in self.worlds for each in _worlds(world))),
             self.noises,
             self.robots,
             self.presets,
@@ -96,7 +101,7 @@ class _Grid:
                 laps,
                 fault,
                 seed,
-            ) in itertools.product(*axes)
+            ) in _first_jobs(itertools.product(*axes))
         ]
 
 
@@ -138,7 +143,8 @@ def load_suite(source: str, first_seed: int | None = None) -> Suite:
     label = path.name if path.parent == FOLDER else str(path)
     file = built(_File, read_toml(path), label)
     with _named(label):
-        jobs = list(_checked(file.grid, first_seed))
+        jobs = list(_first_jobs(_checked(file.grid, first_seed)))
+        _check_count(jobs)
         if not jobs:
             raise ValueError("holds no jobs")
         for title, count in Counter(job.title for job in jobs).items():
@@ -155,6 +161,7 @@ def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:
     for number, grid in enumerate(grids, 1):
         with _named(f"[[grid]] {number}"):
             jobs = grid.jobs(first_seed)
+            _check_count(jobs)
             if jobs and min(job.seed for job in jobs) < 0:
                 raise ValueError(f"seeds: a seed is 0 or more, not {min(job.seed for job in jobs)}")
             for job in {_without_seed(job): job for job in reversed(jobs)}.values():
@@ -170,7 +177,17 @@ def _without_seed(job: Job) -> Job:
     return replace(job, world=re.sub(rf"^{RANDOM}\d+", f"{RANDOM}0", job.world), seed=0)
 
 
-def _worlds(world: str) -> list[str]:
+def _first_jobs(jobs: Iterable[T]) -> Iterator[T]:
+    """As many jobs as a suite can have, and one more."""
+    return itertools.islice(jobs, MAX_JOBS + 1)
+
+
+def _check_count(jobs: Sized) -> None:
+    if len(jobs) > MAX_JOBS:
+        raise ValueError(f"a suite has at most {MAX_JOBS} jobs, and these are more")
+
+
+def _worlds(world: str) -> Iterable[str]:
     """The worlds that a text in a file stands for: ``random:0..99`` for 100 worlds."""
     several = re.fullmatch(rf"{RANDOM}(\d{{1,6}})\.\.(\d{{1,6}})", world)
     if several is None:
@@ -180,7 +197,7 @@ def _worlds(world: str) -> list[str]:
         raise ValueError(
             f"worlds: {described(world)} names no floor plans: the last comes before the first"
         )
-    return [f"{RANDOM}{seed}" for seed in range(first, last + 1)]
+    return (f"{RANDOM}{seed}" for seed in range(first, last + 1))
 
 
 @contextmanager

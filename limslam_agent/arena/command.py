@@ -9,6 +9,7 @@ run, however slow the computer is.
 import os
 import queue
 import re
+import signal
 import subprocess
 import sys
 import threading
@@ -17,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from limslam_agent.live.protocol import (
     Telemetry,
     decode,
 )
+from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -50,12 +52,16 @@ class CommandActor:
     """Drives one robot by a process of its own, which begins with each episode in a folder.
 
     Of the words of the command, ``{python}`` stands for this Python. The actor is done when the
-    process has stopped the robot (``X``), which says that everything is explored.
+    process has stopped the robot (``X``), which says that everything is explored. It is also done
+    when the process has ended by itself with the exit code 0, which does not say so. ``user`` is
+    the name of the user whose rights the process has, and None is the present user.
     """
 
-    def __init__(self, words: Sequence[str], folder: Path, robot: RobotSpec) -> None:
+    def __init__(
+        self, words: Sequence[str], folder: Path, robot: RobotSpec, user: str | None = None
+    ) -> None:
         self._words = [sys.executable if word == "{python}" else word for word in words]
-        self._folder, self._robot = folder, robot
+        self._folder, self._robot, self._user = folder, robot, user
         self._link: _Process | None = None
         self._begin()
 
@@ -64,7 +70,7 @@ class CommandActor:
         del start_pose, seed
         self.close()
         self._begin()
-        self._link = _Process(self._words, self._folder)
+        self._link = _Process(self._words, self._folder, self._user)
 
     def _begin(self) -> None:
         period = round(1e3 * self._robot.control_period)
@@ -79,7 +85,7 @@ class CommandActor:
         Raises
         ------
         ValueError
-            If the process has ended without a stop, or does not answer in time.
+            If the process has failed, has ended without a greeting, or does not answer in time.
         """
         if self._link is None:
             raise ValueError("the command was not started")
@@ -89,8 +95,15 @@ class CommandActor:
         if not self._firmware.has_host:
             self._greet(self._link, now)
         lines = self._firmware.say(now, ticks(self._travel), seen)
-        self._link.send(lines)
-        self._hear_answer(self._link, now, lines)
+        try:
+            self._link.send(lines)
+            self._hear_answer(self._link, now, lines)
+        except _EndedError as error:
+            if error.exit_code != 0:
+                raise
+            self.done, self.stop_reason = True, f"the command has ended by itself: {NOT_EXPLORED}"
+            self.close()
+            return np.zeros(2)
         self._step += 1
         if self.done:
             self.close()
@@ -126,10 +139,20 @@ class CommandActor:
                 return
 
 
-class _Process:
-    """A process whose output is read line by line, with a time limit."""
+class _EndedError(ValueError):
+    """A process has ended too early, with an exit code."""
 
-    def __init__(self, words: Sequence[str], folder: Path) -> None:
+    def __init__(self, message: str, exit_code: int | None) -> None:
+        super().__init__(message)
+        self.exit_code = exit_code
+
+
+class _Process:
+    """A process whose output is read line by line, with a time limit. It is the first of a session
+    of its own, so that what it starts ends with it.
+    """
+
+    def __init__(self, words: Sequence[str], folder: Path, user: str | None) -> None:
         self._errors = TemporaryFile()  # noqa: SIM115 (it lives as long as the process)
         try:
             # The words are those of the entry's manifest. No shell reads them.
@@ -139,6 +162,8 @@ class _Process:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
+                start_new_session=True,
+                **rights_of(user),
             )
         except OSError as error:
             self._errors.close()
@@ -160,7 +185,7 @@ class _Process:
 
         def kill() -> None:
             is_late.set()
-            self._process.kill()
+            self._kill()
 
         timer = threading.Timer(ANSWER_WITHIN, kill)
         timer.start()
@@ -196,23 +221,54 @@ class _Process:
             raise self._has_ended()
         return line
 
-    def _has_ended(self) -> ValueError:
+    def _has_ended(self) -> _EndedError:
         """The reason of a process that has ended too early, with the last line of its errors."""
+        with suppress(subprocess.TimeoutExpired):  # it has only closed its output
+            self._process.wait(_ENDING)
         last = last_line(self._errors)
-        return ValueError(
-            f"the command has ended without stopping the robot{': ' if last else ''}{last}"
+        return _EndedError(
+            f"the command has ended without stopping the robot{': ' if last else ''}{last}",
+            self._process.returncode,
         )
 
     def end(self) -> None:
-        """Close the input of the process, which ends it. A process that goes on is killed."""
+        """Close the input of the process, which ends it. A process that goes on is killed, and so
+        is all that it has started.
+        """
         with suppress(OSError):  # what was written cannot be read any more
             self._input.close()
-        try:
+        with suppress(subprocess.TimeoutExpired):
             self._process.wait(_ENDING)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        self._kill()
+        self._process.wait()
         self._errors.close()
+
+    def _kill(self) -> None:
+        if sys.platform == "win32":
+            self._process.kill()
+            return
+        with suppress(OSError):  # all have ended
+            os.killpg(self._process.pid, signal.SIGKILL)
+
+
+def rights_of(user: str | None) -> dict[str, Any]:
+    """The arguments of a new process that has the rights of a user.
+
+    Raises
+    ------
+    ValueError
+        If there is no such user, or this process may not start processes of other users.
+    """
+    if user is None:
+        return {}
+    if sys.platform == "win32" or os.geteuid() != 0:
+        raise ValueError("only root can run a command as another user")
+    import pwd
+
+    try:
+        return {"user": user, "group": pwd.getpwnam(user).pw_gid, "extra_groups": []}
+    except KeyError as error:
+        raise ValueError(f"there is no user {user!r}") from error
 
 
 def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]") -> None:

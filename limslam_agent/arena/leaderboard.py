@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.arena.results import Row, Stamp, read_results
-from limslam_agent.arena.tracks import MAX_TIME
 from limslam_agent.measurements.statistics import Estimate, holm, mean, signed_rank
 from limslam_env.geometry import FloatArray
 
@@ -32,8 +31,8 @@ _FIGURES: dict[str, Any] = {
 class Standing:
     """The place of an entry, from 1, which entries with equal scores share.
 
-    The score is the mean of the ``values`` (n,) in the plans, of which a row without a score has
-    the worst one. ``figures`` are further means and medians by their names.
+    The score is the mean of the ``values`` (n,) in the plans. ``figures`` are further means and
+    medians by their names.
     """
 
     folder: Path
@@ -52,14 +51,13 @@ class Standing:
     @property
     def solved(self) -> int:
         """Number of plans that were not lost."""
-        return sum(not row.metrics.get("lost") for row in self.rows)
+        return sum(not row.metrics["lost"] for row in self.rows)
 
     @property
     def claimed(self) -> int:
         """Number of plans that were lost by a wrong claim to be done."""
         return sum(
-            bool(row.metrics.get("claims_done")) and bool(row.metrics.get("lost"))
-            for row in self.rows
+            bool(row.metrics["claims_done"]) and bool(row.metrics["lost"]) for row in self.rows
         )
 
 
@@ -138,7 +136,7 @@ def _numbers(rows: Sequence[Row], metric: str) -> list[float | None]:
 
 
 def _values(rows: Sequence[Row]) -> FloatArray:
-    return np.array([MAX_TIME if value is None else value for value in _numbers(rows, SCORE)])
+    return np.array(_numbers(rows, SCORE), dtype=float)
 
 
 def _figures(rows: Sequence[Row]) -> dict[str, float | None]:

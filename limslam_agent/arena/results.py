@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from limslam_agent.arena.entry import Entry, Manifest, manifest_table
-from limslam_agent.arena.tracks import PUBLIC_SEED, VERSION, plans_of
+from limslam_agent.arena.scoring import check_scores
+from limslam_agent.arena.tracks import MAX_TIME, PUBLIC_SEED, VERSION, plans_of
 from limslam_agent.config.tables import built
 from limslam_agent.measurements import store
 from limslam_env.messages import one_line
@@ -25,6 +26,12 @@ class Row:
     Metrics have the names of ``docs/metrics.md`` and ``docs/arena.md``. Time and memory, which are
     the cost, differ from run to run. ``settings`` is a digest of plan and entry. ``error`` says why
     the entry failed, which has lost the plan.
+
+    Raises
+    ------
+    ValueError
+        If the metrics are not those of a run (:func:`limslam_agent.arena.scoring.check_scores`), or
+        a cost is negative.
     """
 
     plan: int
@@ -35,6 +42,14 @@ class Row:
     commit: str = "unknown"
     settings: str = ""
     error: str | None = None
+
+    def __post_init__(self) -> None:
+        longest = self.setting.get("max_time")
+        if not isinstance(longest, int | float) or not 0.0 < longest <= MAX_TIME:
+            raise ValueError(f"the longest time of a plan is 0 to {MAX_TIME:g} s, not {longest!r}")
+        check_scores(self.metrics, longest, self.error)
+        if any(value < 0.0 for value in self.cost.values()):
+            raise ValueError("a cost is negative")
 
 
 @dataclass(frozen=True)

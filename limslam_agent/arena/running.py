@@ -13,11 +13,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.command import CommandActor, without_folders
+from limslam_agent.arena.command import CommandActor, rights_of, without_folders
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.results import FORMAT, RUNS, Row, digest_of, stamp_of
-from limslam_agent.arena.scoring import correct_coverage, exploration_scores, lost_scores
+from limslam_agent.arena.scoring import BOUNDS, correct_coverage, exploration_scores, lost_scores
 from limslam_agent.arena.tracks import Plan
+from limslam_agent.measurements.linux import hide_memory
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
@@ -26,7 +27,7 @@ from limslam_agent.policies.policy import Policy
 from limslam_agent.runs.actor_checks import is_policy
 from limslam_agent.runs.actors import ActorPolicy
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.policy_file import made_by_file, naming_lines_of
+from limslam_agent.runs.policy_file import is_termination, made_by_file, naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost as cost_of
 from limslam_agent.runs.results import score
@@ -40,14 +41,13 @@ Keep = Callable[[Path, Episode], dict[str, Any]]
 Report = Callable[[Row, int], None]
 """Called with each new row and the number of rows that exist."""
 
-_TERMINATED = 143  # exit code of a command of this project that was asked to end (SIGTERM)
-
 
 @dataclass(frozen=True)
 class Job:
     """A plan that an entry has to run, and the provenance of its row.
 
-    ``keep`` writes the folder of the run and returns its metrics. None keeps nothing.
+    ``keep`` writes the folder of the run and returns its metrics. None keeps nothing. ``user`` is
+    the user whose rights a command has, and None is the present user.
     """
 
     entry: Entry
@@ -55,6 +55,7 @@ class Job:
     versions: dict[str, str]
     commit: str
     keep: Callable[[Episode], dict[str, Any]] | None = None
+    user: str | None = None
 
 
 def run_entry(
@@ -66,13 +67,14 @@ def run_entry(
     jobs: int,
     keep: Keep | None = None,
     retry_failed: bool = False,
+    user: str | None = None,
     report: Report = lambda _row, _count: None,
 ) -> list[Row]:
     """Run the plans that have no row in a folder yet. Returns all rows of these plans.
 
     The folder may contain earlier results of the same entry. ``seed`` is that of the plans,
-    ``jobs`` is the number of processes, and ``keep`` writes the folders of runs. ``report`` is
-    called with each new row.
+    ``jobs`` is the number of processes, and ``keep`` writes the folders of runs. A command has the
+    rights of ``user``. ``report`` is called with each new row.
 
     Raises
     ------
@@ -84,6 +86,7 @@ def run_entry(
         raise ValueError(
             f"{folder}: lies in the folder of the entry, which must not change while it runs"
         )
+    rights_of(user)
     stamp = stamp_of(entry, seed, versions=versions(), commit=commit())
     again = {plan.number for plan in plans} if retry_failed else set()
     with open_store(
@@ -96,6 +99,7 @@ def run_entry(
                 stamp.versions,
                 stamp.commit,
                 keep and partial(keep, place / RUNS / f"{plan.number:03d}"),
+                user,
             )
             for plan in plans
             if plan.number not in store.rows
@@ -107,8 +111,15 @@ def run_entry(
 
 
 def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
-    """The rows of jobs as they end, in any order."""
-    if jobs == 1:
+    """The rows of jobs as they end, in any order.
+
+    A command could read the plans in the memory of the processes above it, which is hidden. It
+    always runs under a process of its own, which ends all that the command has started.
+    """
+    is_process = any(job.entry.manifest.is_process for job in todo)
+    if is_process:
+        hide_memory()
+    if jobs == 1 and not is_process:
         yield from map(run_job, todo)
         return
     with closing(Processes(jobs).run(todo, run_job)) as results:
@@ -125,6 +136,8 @@ def run_job(job: Job) -> Row:
     lost.
     """
     plan, manifest = job.plan, job.entry.manifest
+    if manifest.is_process:
+        hide_memory()
     provenance: dict[str, Any] = {
         "versions": job.versions,
         "commit": job.commit,
@@ -139,7 +152,7 @@ def run_job(job: Job) -> Row:
     except OSError:  # no space, or no permission: not the entry's failure
         raise
     except (Exception, SystemExit) as failure:
-        if isinstance(failure, SystemExit) and failure.code == _TERMINATED:
+        if is_termination(failure):
             raise
         error = (
             f"{failure}"
@@ -182,7 +195,7 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
         true_noise=plan.true_noise,
         driver="" if is_named else f"command {entry.manifest.name}",
     )
-    policies = _policies(entry, config)
+    policies = _policies(job, config)
     try:
         episode = run_episode(
             config, lambda _team, env, _time, _share: last.update(env=env), policies=policies
@@ -194,22 +207,25 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
     metrics = (job.keep or score)(episode)
     correct = correct_coverage(episode.coverage_grid, last["env"].seen, episode.final_map.grid)
     mine = exploration_scores(
-        plan, episode.time, episode.coverage, correct, is_finished=episode.is_finished
+        plan, episode.time, episode.coverage, correct, is_finished=episode.claims_explored
     )
     best = metrics.get("ate_smoothed_m", metrics["ate_m"])
     nees = metrics.get("anees_smoothed", metrics["anees"])
     final = {"ate_final_m": best, "anees_final": nees, "touches": metrics["collisions"]}
-    return {**metrics, **mine, **final}, cost_of(episode)
+    found = {**metrics, **mine, **final}
+    if entry.manifest.is_process:
+        found = {name: found[name] for name in BOUNDS}
+    return found, cost_of(episode)
 
 
-def _policies(entry: Entry, config: RunConfig) -> list[Policy] | None:
+def _policies(job: Job, config: RunConfig) -> list[Policy] | None:
     """A policy for each robot. None for shipped policies, which the run makes by their names."""
-    manifest = entry.manifest
+    entry, manifest = job.entry, job.entry.manifest
     if manifest.kind == "shipped":
         return None
     if manifest.is_process:
         return [
-            ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot))
+            ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot, job.user))
             for _ in range(config.robots)
         ]
     made = made_by_file(

@@ -10,6 +10,8 @@ was never seen raises it.
 that it is done, or when the time is over. The time of a lost plan is the longest time of the plan.
 """
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -26,7 +28,28 @@ ENOUGH = 0.95
 NEAR = 0.10
 """Largest distance between the centre of a cell and the centre of a free cell of the map, m."""
 
+BOUNDS = {
+    "plan_time_to_80_s": 30.0,
+    "plan_time_to_95_s": 30.0,
+    "time_to_80_s": 30.0,
+    "time_to_95_s": 30.0,
+    "end_time_s": 30.0,
+    "since_new_s": 30.0,
+    "correct_coverage": 0.05,
+    "ate_final_m": 0.05,
+    "anees_final": 1.0,
+    "wall_f1_5cm": 0.1,
+    "touches": 3.0,
+    "claims_done": 0.0,
+    "lost": 0.0,
+}
+"""Metrics of an entry that runs in a process of its own, and the largest differences of two runs of
+the same plan, since its answers may depend on time. Such an entry has no other metrics, because
+nobody could verify them.
+"""
+
 _TIMES = (80, 95)
+_SHARES = ("correct_coverage", "wall_f1_5cm")
 
 
 def correct_coverage(covered: CoverageGrid, seen: BoolArray, grid: GridView) -> float:
@@ -81,8 +104,42 @@ def lost_scores(plan: Plan, reason: str) -> dict[str, Any]:
         "lost": reason,
         "correct_coverage": 0.0,
         "claims_done": False,
-        **{f"plan_time_to_{share}_s": plan.max_time for share in _TIMES},
+        **dict.fromkeys(_plan_times(), plan.max_time),
     }
+
+
+def check_scores(scores: Mapping[str, Any], longest: float, error: str | None) -> None:
+    """Refuse scores of a plan that no run can have.
+
+    ``longest`` is the longest time of the plan, s, and ``error`` is the reason of an entry that has
+    failed, which has only the scores of :func:`lost_scores`.
+
+    Raises
+    ------
+    ValueError
+        If a score is missing, is out of its bounds, or contradicts another one.
+    """
+    needed = {"lost", "correct_coverage", "claims_done", *_plan_times()}
+    missing = sorted((needed if error is not None else set(BOUNDS)) - scores.keys())
+    if missing:
+        raise ValueError(f"the metric {missing[0]} is missing")
+    for name in sorted(BOUNDS.keys() & scores.keys() - {"lost"}):
+        highest = 1.0 if name in _SHARES else longest if name.endswith("_s") else math.inf
+        value = scores[name]
+        is_open = value is None and name not in needed
+        if not is_open and not (isinstance(value, int | float) and 0.0 <= value <= highest):
+            raise ValueError(f"the metric {name} is {value!r}, and not a number in its bounds")
+    wrong = f"failed: {error}"
+    if error is None:
+        wrong = loss(scores["correct_coverage"], is_finished=bool(scores["claims_done"]))
+    if scores["lost"] != wrong:
+        raise ValueError(f"the metric lost is {scores['lost']!r}, and the others say {wrong!r}")
+    if wrong and any(scores[name] != longest for name in _plan_times()):
+        raise ValueError(f"a lost plan takes the longest time, {longest:g} s")
+
+
+def _plan_times() -> list[str]:
+    return [f"plan_time_to_{share}_s" for share in _TIMES]
 
 
 def _first(time: FloatArray, reached: BoolArray) -> float | None:

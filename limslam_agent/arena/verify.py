@@ -8,20 +8,11 @@ import numpy as np
 from limslam_agent.arena.entry import Entry, manifest_table, read_entry
 from limslam_agent.arena.results import FORMAT, Row, Stamp, digest_of, plans_digest, read_results
 from limslam_agent.arena.running import Job, results_of
+from limslam_agent.arena.scoring import BOUNDS
 from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
 from limslam_agent.measurements.store import BaseStamp, read_stamp
 from limslam_agent.output.provenance import commit, versions
-
-BOUNDS = {
-    "plan_time_to_80_s": 30.0,
-    "plan_time_to_95_s": 30.0,
-    "correct_coverage": 0.05,
-    "ate_final_m": 0.05,
-    "wall_f1_5cm": 0.1,
-}
-"""Largest differences of an entry that runs in a process of its own, whose answers may depend on
-time. Metrics of all other entries are equal to the bit.
-"""
+from limslam_env.messages import counted
 
 
 def opened(
@@ -52,43 +43,57 @@ def opened(
 
 
 def verify(
-    folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int
+    folder: Path,
+    entry: Entry,
+    plans: Sequence[Plan],
+    jobs: int,
+    generator: np.random.Generator,
+    *,
+    count: int | None = None,
+    user: str | None = None,
 ) -> Iterator[tuple[int, list[str]]]:
-    """Run ``count`` rows again, spread evenly over a folder of results; all if it is None.
+    """Run ``count`` rows of a folder of results again; all if it is None.
 
-    Yields number and differences of each plan. ``plans`` are all plans, and ``jobs`` is the number
-    of processes.
+    The rows are drawn by the generator, so that nobody knows them beforehand. ``plans`` are all
+    plans, ``jobs`` is the number of processes, and a command has the rights of ``user``.
+
+    Yields
+    ------
+    tuple
+        Number and differences of each plan.
 
     Raises
     ------
     ValueError
-        If there are no rows, or a row does not belong to its plan or to the entry.
+        If a plan has no row, or a row does not belong to its plan or to the entry.
     """
     _, rows = read_results(folder)
     for row in rows.values():
         _check_origin(folder, row, entry, plans)
-    spread = np.linspace(0, len(rows) - 1, min(count or len(rows), len(rows))).round().astype(int)
-    wanted = [list(rows)[place] for place in spread]
-    jobs_again = [Job(entry, plans[number], versions(), commit()) for number in wanted]
+    if missing := [plan.number for plan in plans if plan.number not in rows]:
+        raise ValueError(
+            f"{folder}: {counted(len(missing), 'plan')} of {len(plans)} "
+            f"{'has' if len(missing) == 1 else 'have'} no results, such as plan {missing[0]}: "
+            "limslam arena run goes on with them"
+        )
+    drawn = generator.choice(len(plans), min(count or len(plans), len(plans)), replace=False)
+    jobs_again = [
+        Job(entry, plans[number], versions(), commit(), user=user) for number in sorted(drawn)
+    ]
     for row in results_of(jobs_again, jobs):
         yield row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process)
 
 
 def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
-    """What differs between two rows of a plan, in words. Cost, provenance and newer metrics are not
-    compared.
-    """
+    """What differs between two rows of a plan, in words. Cost and provenance are not compared."""
     if before.error != now.error:
         return [f"error: {before.error}, now {now.error}"]
-    bounds = BOUNDS if is_process else {}
-    values = {
-        name: (before.metrics.get(name), now.metrics.get(name))
-        for name in bounds or sorted(before.metrics)
-    }
     return [
-        f"{name} {first}, now {second}"
-        for name, (first, second) in values.items()
-        if not _equal(first, second, bounds.get(name))
+        f"{name} {before.metrics.get(name, 'missing')}, now {now.metrics.get(name, 'missing')}"
+        for name in sorted(before.metrics.keys() | now.metrics.keys())
+        if name not in before.metrics
+        or name not in now.metrics
+        or not _equal(before.metrics[name], now.metrics[name], BOUNDS[name] if is_process else 0.0)
     ]
 
 
@@ -97,8 +102,8 @@ def other_versions(stamp: Stamp) -> str:
     return stamp.changes(BaseStamp(versions(), commit()))
 
 
-def _equal(first: object, second: object, bound: float | None) -> bool:
-    if isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
+def _equal(first: object, second: object, bound: float) -> bool:
+    if bound and isinstance(first, int | float) and isinstance(second, int | float):
         return abs(first - second) <= bound
     return type(first) is type(second) and first == second
 

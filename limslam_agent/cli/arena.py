@@ -30,14 +30,25 @@ _Secret = Annotated[
 ]
 _LONGEST_SEED = 1001  # characters, with the end of the line
 _Jobs = Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")]
+_EntryUser = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="User whose rights a command has. Only root can choose one.",
+        show_default="the present user",
+    ),
+]
 
 
 def _read_seed() -> int:
     """The secret seed from standard input, which is closed then.
 
-    An entry runs as the same user, and can read the command lines and environments of the processes
-    above it.
+    An entry can read the command lines of the processes above it, and where it runs as the same
+    user, their open files. Their memory is hidden.
     """
+    from limslam_agent.measurements.linux import hide_memory
+
+    hide_memory()
     text = getpass("secret seed: ") if sys.stdin.isatty() else sys.stdin.readline(_LONGEST_SEED)
     with open(os.devnull, "rb") as nothing, suppress(OSError):  # noqa: PTH123 (a device)
         os.dup2(nothing.fileno(), sys.stdin.fileno())
@@ -67,6 +78,7 @@ def run(
     retry_failed: Annotated[
         bool, typer.Option("--retry-failed", help="Run plans again that failed.")
     ] = False,
+    entry_user: _EntryUser = None,
 ) -> None:
     """Run an entry on the plans. A run that was stopped goes on where it was."""
     from limslam_agent.arena.entry import read_entry
@@ -86,6 +98,7 @@ def run(
             jobs=jobs,
             keep=write_kept_run if keep else None,
             retry_failed=retry_failed,
+            user=entry_user,
             report=lambda row, done: advance(
                 done, f"{done} of {len(wanted)} plans, latest {row.plan}"
             ),
@@ -101,8 +114,12 @@ def verify(
     plans: Annotated[
         int | None,
         typer.Option(
-            min=1, help="How many plans are run again, spread evenly.", show_default="all"
+            min=1, help="How many plans are run again, drawn at random.", show_default="all"
         ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Seed of the draw.", show_default="of the operating system"),
     ] = None,
     entry: Annotated[
         Path | None,
@@ -111,8 +128,11 @@ def verify(
     jobs: _Jobs = 2,
     *,
     secret_seed: _Secret = False,
+    entry_user: _EntryUser = None,
 ) -> None:
     """Run plans again and compare all metrics. Exit code 1 if something differs."""
+    import numpy as np
+
     from limslam_agent.arena import verify as again
     from limslam_env.messages import counted, one_line
 
@@ -120,11 +140,23 @@ def verify(
     if changed := again.other_versions(stamp):
         warn([f"the results are of other versions ({changed})"])
     checked = different = 0
-    for plan, differences in again.verify(folder, found, all_plans, plans, jobs):
+    rows = again.verify(
+        folder,
+        found,
+        all_plans,
+        jobs,
+        np.random.default_rng(seed),
+        count=plans,
+        user=entry_user,
+    )
+    for plan, differences in rows:
         typer.echo(one_line(f"plan {plan:3}    {'; '.join(differences) or 'equal'}", 500))
         checked, different = checked + 1, different + bool(differences)
     within = " within the bounds of a process" if found.manifest.is_process else ""
-    typer.echo(f"verified    {counted(checked, 'plan')}, {checked - different} equal{within}")
+    typer.echo(
+        f"verified    {checked} of {counted(len(all_plans), 'plan')}, "
+        f"{checked - different} equal{within}"
+    )
     if different:
         raise typer.Exit(1)
 
@@ -178,7 +210,8 @@ def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
 
 def _print_board(found: "Board") -> None:
     from limslam_agent.arena.page import table_rows
+    from limslam_agent.arena.tracks import COUNT
     from limslam_env.messages import counted
 
-    typer.echo(f"compared    {counted(len(found.plans), 'plan')}")
+    typer.echo(f"compared    {len(found.plans)} of {counted(COUNT, 'plan')}")
     print_table(table_rows(found))

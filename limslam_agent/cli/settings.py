@@ -373,13 +373,15 @@ def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -
 
 
 def _kept_policy(folder: Path, policy: str) -> str:
-    """The name of a policy. A policy's file is copied into the run's folder, so that the folder
-    repeats the run.
+    """The name of a policy. A policy's file is copied into the run's folder, with the files beside
+    it that it has imported, so that the folder repeats the run.
     """
-    from limslam_agent.runs.policy_file import file_and_name, is_file_policy, short_name
+    from limslam_agent.runs.policy_file import files_of, is_file_policy, short_name
 
     if is_file_policy(policy):
-        copyfile(path := file_and_name(policy)[0], folder / path.name)
+        for name, path in files_of(policy).items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            copyfile(path, folder / name)
     return short_name(policy)
 
 

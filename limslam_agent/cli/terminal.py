@@ -85,7 +85,9 @@ def run_command(
         _fail(name, str(error))
     except OSError as error:
         _fail(name, f"{error.filename or resource}: {error.strerror or error}")
-    except (ArithmeticError, MemoryError) as error:
+    except MemoryError as error:
+        _fail(name, f"there is not enough memory for this{f': {error}' if str(error) else ''}")
+    except ArithmeticError as error:
         if not numbers:
             raise
         _fail(name, f"a number is too large or too small to compute with: {error}")

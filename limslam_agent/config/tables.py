@@ -1,6 +1,5 @@
 """Settings as TOML tables: read with the checks of their dataclasses, and written."""
 
-import tomllib
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
@@ -32,13 +31,16 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file. Raises a SettingsError if there is no such file, or it is not
     TOML.
     """
+    # The command line imports this module, but not the simulator.
+    from limslam_env.toml_text import read_toml_text
+
     try:
-        return tomllib.loads(
+        return read_toml_text(
             read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n")
         )
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
 
 

@@ -34,6 +34,11 @@ LONGEST_LINE = 1 << 20
 MOST_BEAMS = 4096
 """Most beams of a scan or columns of a table."""
 
+MOST_UNPACKED, LARGEST_RATIO = 16_000_000, 16
+"""Bytes of a gzip stream that are always unpacked, and how many times the size of the file may be
+unpacked. A file of one megabyte could become one of a gigabyte.
+"""
+
 # m between two events. A longer motion is an error of the log, unless the rest of it is a drive.
 LONGEST_JUMP = 50.0
 
@@ -321,11 +326,12 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text
-        file.
+        If the file cannot be read, its gzip stream is cut short, damaged or too large, or it is not
+        a text file.
     """
-    number = 0
+    number = unpacked = 0
     with naming(path), open_regular(Path(path)) as raw:
+        largest = max(MOST_UNPACKED, LARGEST_RATIO * Path(path).stat().st_size)
         packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         raw.seek(0)
         file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
@@ -338,6 +344,12 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
+                unpacked += len(line)
+                if packed and unpacked > largest:
+                    raise ValueError(
+                        f"line {number}: the gzip stream has more than {unpacked / 1e6:.0f} MB, "
+                        f"{LARGEST_RATIO} times the size of the file: unpack it first"
+                    )
         except EOFError as error:
             raise ValueError(f"line {number + 1}: cut short: the gzip stream ends here") from error
         except (gzip.BadGzipFile, zlib.error) as error:

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
+from limslam_agent.measurements.linux import adopt_orphans, kill_descendants
+
 J = TypeVar("J")
 R = TypeVar("R")
 
@@ -147,13 +149,16 @@ def _death(exit_code: int) -> str:
 
 
 def _serve(connection: Connection, work: Callable[[Any], Any]) -> None:
-    """Run jobs in a process of their own, on one thread, until the pipe is closed."""
+    """Run jobs in a process of their own, on one thread, until the pipe is closed. What a job has
+    started ends with it.
+    """
     # What a job starts would inherit an ignored signal, but it does not inherit a handler.
     signal.signal(signal.SIGINT, lambda *_: None)
     if sys.platform != "win32":
         os.setpgid(0, 0)
     signal.signal(signal.SIGTERM, lambda *_: _kill_group(os.getpid()))
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    adopt_orphans()
     import cv2
 
     cv2.setNumThreads(1)
@@ -167,6 +172,7 @@ def _serve(connection: Connection, work: Callable[[Any], Any]) -> None:
             result = work(job)
         except Exception as error:  # noqa: BLE001 - any exception concerns this job alone
             result = Failure(" ".join(f"{type(error).__name__}: {error}".split()))
+        kill_descendants(os.getpid())
         connection.send(result)
 
 
@@ -184,6 +190,7 @@ def _kill_group(number: int) -> None:
     """Kill a worker and the processes that it has started. Windows has no such groups: there, only
     the worker.
     """
+    kill_descendants(number)
     if sys.platform == "win32":
         os.kill(number, signal.SIGTERM)
     else:

@@ -10,17 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.map_file import read_map_file
 from limslam_agent.output.claims import OutputError, hidden, repair
 from limslam_agent.output.run_folder import RESULT_FILE
 from limslam_agent.output.tum import TrajectoryError, read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted, one_line
-
-MOST_WALLS = 20_000
-"""Most walls of a map that are read: more take minutes to draw and to score, and no building has so
-many.
-"""
 
 MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
@@ -193,21 +189,13 @@ def part_of(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def read_walls(path: Path) -> FloatArray:
-    """The walls (k, 4), m, of a ``map.json``. Raises a FolderError if the file cannot be read or
-    has no walls in that form.
+    """The walls (k, 4), m, of a ``map.json``. Raises a FolderError if the file cannot be read, has
+    no walls in that form, or has too many.
     """
-    listed = _read_json(path).get("segments")
     try:
-        segments = (
-            np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
-        )
-    except (TypeError, ValueError, OverflowError):
-        segments = None
-    if segments is None or not np.isfinite(segments).all():
-        raise FolderError(f"{path}: its segments are not rows of four numbers")
-    if len(segments) > MOST_WALLS:
-        raise FolderError(f"{path}: it has {len(segments)} walls; at most {MOST_WALLS} are read")
-    return segments
+        return read_map_file(path)[1]
+    except ValueError as error:
+        raise FolderError(str(error)) from error
 
 
 def _trajectories(folder: Path, kind: str) -> list[FloatArray]:

@@ -1,6 +1,5 @@
 """The map of an earlier run, in which a later run begins at an unknown place."""
 
-import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.map_file import read_map_file
 from limslam_agent.safe_files import read_limited
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray
@@ -51,21 +51,24 @@ def read_saved_map(folder: Path) -> SavedMap:
     Raises
     ------
     SavedMapError
-        If a file is missing or damaged, or the map has no walls.
+        If a file is missing or damaged, or the map has no walls or too many.
     """
     if not folder.is_dir():
         raise SavedMapError(f"{folder}: is not a folder with a map")
-    content = _read_json(folder / "map.json")
+    path = folder / "map.json"
     try:
-        segments = np.array(content["segments"], dtype=float).reshape(-1, 4)
+        content, segments = read_map_file(path)
+    except ValueError as error:
+        raise SavedMapError(str(error)) from error
+    try:
         landmarks = [
             _landmark(number, each, len(segments))
             for number, each in enumerate(content["landmarks"])
         ]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise SavedMapError(f"{folder / 'map.json'}: is no map of limslam: {error}") from error
-    if not len(segments) or not np.isfinite(segments).all() or np.abs(segments).max() > 1e6:
-        raise SavedMapError(f"{folder / 'map.json'}: has no walls, or walls that are not finite")
+        raise SavedMapError(f"{path}: is no map of limslam: {error}") from error
+    if not len(segments) or np.abs(segments).max() > 1e6:
+        raise SavedMapError(f"{path}: has no walls, or walls beyond 1e6 m")
     return SavedMap(segments, landmarks, read_grid(folder))
 
 
@@ -127,15 +130,3 @@ def _pixels(content: bytes) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
     if len(content) - header.end() != rows * columns:
         raise ValueError("a PGM file of another length")
     return np.frombuffer(content, dtype=np.uint8, offset=header.end()).reshape(rows, columns)[::-1]
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(read_limited(path))
-    except OSError as error:
-        raise SavedMapError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise SavedMapError(f"{path}: is not JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise SavedMapError(f"{path}: is no map of limslam")
-    return content

@@ -71,6 +71,17 @@ def run_episode(
         Makes of each observation and its time (s) the observation that the agent gets and that is
         recorded: a fault.
     """
+    with naming_lines_of(config.policy):
+        return _episode(config, watch, render_mode, policies, alter)
+
+
+def _episode(
+    config: RunConfig,
+    watch: Watcher | None,
+    render_mode: str | None,
+    policies: Sequence[Policy] | None,
+    alter: Callable[[Observation, float], Observation] | None,
+) -> Episode:
     world = load_world(config.world)
     env = LimSlamParallelEnv(
         world,
@@ -84,8 +95,7 @@ def run_episode(
     )
     team = team_of(config, policies_of(config, world) if policies is None else policies)
     clock = time.perf_counter()
-    with naming_lines_of(config.policy):
-        rows = _drive(config, env, team, watch, alter)
+    rows = _drive(config, env, team, watch, alter)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return Episode(
         config=config,

@@ -4,6 +4,7 @@ makes a policy.
 
 import importlib.util
 import inspect
+import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -18,6 +19,9 @@ from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.policy import Policy
 from limslam_agent.runs.actor_checks import is_policy
 from limslam_env.interface import RobotSpec
+
+_INSTALLED = ("limslam_agent", "limslam_env")
+_PACKAGES = "site-packages"  # folder of packages, which lies beside the policy in some projects
 
 OFFERED = ("robot", "config", "seed")
 """Arguments that a class or a function may take, each by its name. None of them has to be taken."""
@@ -62,7 +66,8 @@ def file_policies(
     """A new policy of a file for each robot. Each has its own random generator as ``seed``."""
     path, name = file_and_name(policy)
     made = made_by_file(policy, robot, config, robots=robots, seed=seed)
-    return [_checked(each, f"{path}: {name}") for each in made]
+    with naming_lines_of(policy):
+        return [_checked(each, f"{path}: {name}") for each in made]
 
 
 def made_by_file(
@@ -77,7 +82,14 @@ def made_by_file(
     """
     path, name = file_and_name(policy)
     with naming_lines_of(policy):
-        maker = _maker(_loaded(path), path, name)
+        try:
+            module = _loaded(path)
+        # What is no text in UTF-8, or holds a byte 0, has no line that an error could name.
+        except (SyntaxError, ValueError) as error:
+            raise PolicyFileError(
+                f"{_place_in_file(error, policy) or path}: {type(error).__name__}: {error}"
+            ) from error
+        maker = _maker(module, path, name)
         return [
             maker({"robot": robot, "config": config, "seed": np.random.default_rng([seed, number])})
             for number in range(robots)
@@ -86,41 +98,74 @@ def made_by_file(
 
 @contextmanager
 def naming_lines_of(policy: str) -> Iterator[None]:
-    """Turn an error that code of a policy's file raises into one line with its place. Other errors
-    are unchanged.
+    """Turn an error that code of a policy's file raises into one line with its place, also one that
+    would end the program. Other errors are unchanged.
 
     Raises
     ------
     PolicyFileError
-        For any error that has passed through a line of the file.
+        For any error that has passed through a line of the file, and if the working folder is
+        another one than before.
     """
+    if not is_file_policy(policy):
+        yield
+        return
+    folder = Path.cwd()
     try:
         yield
-    except Exception as error:  # a policy may raise anything
-        place = _place_in_file(error, policy) if is_file_policy(policy) else None
-        if place is None:
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # a policy may raise anything
+        place = _place_in_file(error, policy)
+        if place is None or is_termination(error):
             raise
         raise PolicyFileError(f"{place}: {type(error).__name__}: {error}") from error
+    finally:
+        has_moved = Path.cwd() != folder
+        os.chdir(folder)
+    if has_moved:
+        raise PolicyFileError(
+            f"{file_and_name(policy)[0]}: has changed the working folder, which must stay as it is"
+        )
 
 
-def _place_in_file(error: Exception, policy: str) -> str | None:
+def is_termination(error: BaseException) -> bool:
+    """Whether an error comes from a signal that has asked the program to end. The exit code is then
+    128 and the number of the signal.
+    """
+    return isinstance(error, SystemExit) and isinstance(error.code, int) and error.code > 128
+
+
+def _place_in_file(error: BaseException, policy: str) -> str | None:
     """The last line of a policy's file that an error has passed through. None if there is no such
     line.
     """
     path = str(policy.rpartition(":")[0])
+    absolute = str(Path(path).absolute())
+    if isinstance(error, SyntaxError) and error.filename == absolute and error.lineno:
+        return f"{path}, line {error.lineno}"
     frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if frame.filename == str(Path(path).absolute())
+        frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename == absolute
     ]
-    if isinstance(error, SyntaxError):
-        return (
-            f"{path}, line {error.lineno}" if error.filename == str(Path(path).absolute()) else None
-        )
     if not frames:
         return None
     where = "" if frames[-1].name == "<module>" else f", in {frames[-1].name}"
     return f"{path}, line {frames[-1].lineno}{where}"
+
+
+def files_of(policy: str) -> dict[Path, Path]:
+    """The policy's file, and the files in its folder that were imported in this process, by their
+    paths in that folder.
+    """
+    path, _ = file_and_name(policy)
+    folder = path.absolute().parent
+    files = {Path(path.name): path}
+    for name, module in list(sys.modules.items()):
+        place = Path(getattr(module, "__file__", None) or "")
+        is_own = name.partition(".")[0] not in _INSTALLED and _PACKAGES not in place.parts
+        if is_own and not name.startswith("__") and place.is_relative_to(folder):
+            files[place.relative_to(folder)] = place
+    return files
 
 
 def _loaded(path: Path) -> ModuleType:

@@ -11,6 +11,7 @@ import numpy as np
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.mapping.team import Snapshot
 from limslam_agent.places.revisions import PlaceHistory, revised
+from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.readings import as_readings
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.diagnostics import Closure
@@ -94,6 +95,11 @@ class Episode:
     # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the
     # SLAM takes it at the end; None if it takes no beam to be turned
     beam_turns: FloatArray | None = None
+
+    @property
+    def claims_explored(self) -> bool:
+        """Whether the agent itself has said that it is done, and not that it has given up."""
+        return self.is_finished and not self.stop_reason.endswith(NOT_EXPLORED)
 
     @property
     def placed_steps(self) -> slice:

@@ -30,7 +30,6 @@ from limslam_agent.output.summary import (
     turn_records,
 )
 from limslam_agent.output.tum import write_paths
-from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.optimum import offline_optimum
 from limslam_agent.runs.policies import TOUR
 from limslam_agent.runs.policy_file import short_name
@@ -107,8 +106,7 @@ def score(episode: Episode) -> dict[str, Any]:
     trajectory = over_robots(trajectory_scores, *(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
-    is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
-    has_explored = is_over and not config.laps and config.policy != TOUR
+    has_explored = episode.claims_explored and not config.laps and config.policy != TOUR
     walls = map_scores(
         episode.world,
         config.robot,

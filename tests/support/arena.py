@@ -5,7 +5,7 @@ from dataclasses import asdict, replace
 
 from limslam_agent.arena.entry import read_entry
 from limslam_agent.arena.results import STAMP, Row, digest_of, stamp_of
-from limslam_agent.arena.scoring import ENOUGH
+from limslam_agent.arena.scoring import ENOUGH, loss
 from limslam_agent.arena.tracks import plans_of
 from limslam_agent.measurements.store import RESULTS
 
@@ -33,8 +33,8 @@ def made_entry(folder, manifest, **files):
 
 
 def made_results(folder, entry, times, *, seed=0, claims=()):
-    """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan,
-    and None is no score.
+    """A folder of results with a time to 95 % of each plan, where the longest time is a lost
+    plan.
     """
     plans = plans_of(seed)
     stamp = stamp_of(entry, seed, versions={"limslam": "0"}, commit="0" * 40)
@@ -42,19 +42,22 @@ def made_results(folder, entry, times, *, seed=0, claims=()):
     (folder / STAMP).write_text(json.dumps(asdict(stamp)))
     lines = []
     for plan, time in times.items():
-        lost = time is None or time >= plans[plan].max_time
-        half = None if time is None else 0.5 * time
+        lost = time >= plans[plan].max_time
+        claims_done = plan in claims or not lost
         metrics = {
             "plan_time_to_95_s": time,
-            "plan_time_to_80_s": half,
-            "time_to_80_s": half,
+            "plan_time_to_80_s": time if lost else 0.5 * time,
+            "time_to_80_s": 0.5 * time,
+            "time_to_95_s": time,
+            "end_time_s": time,
+            "since_new_s": 0.0,
             "correct_coverage": 0.9 if lost else max(ENOUGH, 0.99),
             "ate_final_m": 0.02,
             "wall_f1_5cm": 0.9,
             "anees_final": None,
             "touches": 0,
-            "claims_done": plan in claims or not lost,
-            "lost": "not explored in time" if lost else "",
+            "claims_done": claims_done,
+            "lost": loss(0.9, is_finished=claims_done) if lost else "",
         }
         settings = digest_of({"plan": plans[plan].setting, "entry": entry.digest})
         row = Row(

@@ -8,7 +8,7 @@ import binascii
 import sys
 
 NEAR, NOTHING_SEEN = 350, 65535  # mm
-LONGEST = 1800  # telemetry lines, after which it stops and says that everything is explored
+LONGEST = 1800  # telemetry lines, after which it gives up
 
 
 def say(*words: object) -> None:
@@ -33,8 +33,7 @@ def main() -> None:
         )
         sent += 1
         if number >= LONGEST:
-            say("X", sent)
-            return
+            return  # without a stop, X, which would say that everything is explored
         is_near = min(ranges[1:5]) < NEAR
         left, right = (150, -150) if is_near else (240, 230)  # mm/s
         say("V", sent, number, left, right)

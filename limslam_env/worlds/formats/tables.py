@@ -10,7 +10,6 @@ size, and replaced in one step.
 import json
 import os
 import secrets
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import lengths, polygon_edges
+from limslam_env.toml_text import read_toml_text
 from limslam_env.worlds.world import MAX_SIDE, SHORTEST_EDGE, World, WorldError, named
 
 MAX_FILE_BYTES = 20_000_000
@@ -30,8 +30,8 @@ def parse_world(text: str, label: str) -> World:
     none.
     """
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = read_toml_text(text)
+    except ValueError as error:
         # Besides its own error, tomllib lets through what Python says of numbers with thousands of
         # digits.
         raise WorldError(f"{label}: not TOML: {error}") from error

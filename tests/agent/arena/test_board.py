@@ -1,5 +1,8 @@
 """The leaderboard: the order of entries, and its page in a headless Chromium."""
 
+import json
+import re
+
 import pytest
 from support.arena import MANIFEST, made_entry, made_results
 from support.browser import browser, needs_chromium
@@ -8,6 +11,7 @@ from support.command_line import limslam
 from limslam_agent.arena.leaderboard import board
 from limslam_agent.arena.page import INSPECTOR, write_board
 from limslam_agent.arena.results import RUNS
+from limslam_agent.measurements.store import RESULTS
 
 TIMES = {
     "Slow": dict.fromkeys(range(8), 200.0),
@@ -41,17 +45,58 @@ def test_the_mean_time_decides_and_lost_plans_cost_the_longest_time(folders):
     assert first.difference.value == pytest.approx(wrong.score.value - fast.score.value)
 
 
-def test_a_row_without_a_score_has_the_worst_one_and_equal_scores_share_a_place(tmp_path):
+def test_equal_scores_share_a_place(tmp_path):
     made = []
     for name in ("First", "Second", "Third"):
         entry = made_entry(tmp_path / "entries" / name, MANIFEST.format(name=name))
-        made.append(made_results(tmp_path / name, entry, {0: 100.0 if name != "Third" else None}))
+        made.append(made_results(tmp_path / name, entry, {0: 100.0 if name != "Third" else 240.0}))
     found = board(made)
     assert [(each.name, each.place, each.score.value) for each in found.standings] == [
         ("First", 1, 100.0),
         ("Second", 1, 100.0),
         ("Third", 3, 240.0),
     ]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"plan_time_to_95_s": -1e99}, "the metric plan_time_to_95_s is -1e"),
+        ({"plan_time_to_80_s": 241.0}, "the metric plan_time_to_80_s is 241"),
+        ({"correct_coverage": 1.5}, "the metric correct_coverage is 1.5"),
+        ({"ate_final_m": -0.1}, "the metric ate_final_m is -0.1"),
+        ({"touches": "none"}, "the metric touches is 'none'"),
+        ({"lost": None}, "the metric lost is None, and the others say ''"),
+        ({"correct_coverage": 0.5}, "the others say 'claims to be done and is not'"),
+        ({"correct_coverage": 0.5, "lost": "claims to be done and is not"}, "takes the longest"),
+    ],
+)
+def test_rows_that_no_run_can_have_are_refused(folders, changes, reason):
+    path = folders[0] / RESULTS
+    first, *rest = path.read_text().splitlines()
+    row = json.loads(first)
+    row["metrics"].update(changes)
+    path.write_text("\n".join([json.dumps(row), *rest]) + "\n")
+    with pytest.raises(ValueError, match=re.escape(reason)) as refusal:
+        board(folders)
+    assert "line 1: is no row of results" in str(refusal.value)
+
+
+def test_a_negative_cost_is_refused(folders):
+    path = folders[0] / RESULTS
+    path.write_text(path.read_text().replace('"cpu_s": 2.0', '"cpu_s": -5.0'))
+    with pytest.raises(ValueError, match="a cost is negative"):
+        board(folders)
+
+
+@pytest.mark.parametrize("name", ["lost", "touches", "plan_time_to_95_s", "anees_final"])
+def test_a_row_without_a_metric_is_refused(folders, name):
+    path = folders[0] / RESULTS
+    row = json.loads(path.read_text().splitlines()[0])
+    del row["metrics"][name]
+    path.write_text(json.dumps(row) + "\n")
+    with pytest.raises(ValueError, match=f"the metric {name} is missing"):
+        board(folders)
 
 
 def test_entries_are_compared_on_the_plans_that_all_have_run(folders, tmp_path):
@@ -80,6 +125,7 @@ def test_the_command_writes_the_page_and_a_table(folders, tmp_path):
     words = ("arena", "page", *folders, "--out", tmp_path / "board.html")
     finished = limslam(*words)
     assert finished.returncode == 0, finished.stderr
+    assert "compared    8 of 100 plans" in finished.stdout
     assert "1      Fast" in finished.stdout
     assert limslam(*words).returncode == 2
     assert limslam(*words, "--force").returncode == 0

@@ -172,6 +172,13 @@ def test_a_process_that_ends_is_named(started):
         started("1 / 0").act(SEEN)
 
 
+def test_a_process_that_ends_without_an_error_has_given_up(started):
+    actor = started(GREETING)
+    np.testing.assert_array_equal(actor.act(SEEN), [0.0, 0.0])
+    assert actor.done
+    assert actor.stop_reason == "the command has ended by itself: not explored"
+
+
 @pytest.mark.parametrize(
     ("limit", "task"), [("GREETING_WITHIN", "greet the robot"), ("ANSWER_WITHIN", "answer")]
 )

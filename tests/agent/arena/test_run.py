@@ -3,21 +3,26 @@ are its losses.
 """
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
 from io import StringIO
+from pathlib import Path
 
+import numpy as np
 import pytest
 from support.arena import MANIFEST, made_entry
 from support.command_line import limslam
 
-from limslam_agent.arena.results import FORMAT, RUNS, STAMP, read_results
+from limslam_agent.arena.results import FORMAT, RUNS, STAMP, Row, digest_of, read_results
 from limslam_agent.arena.running import Job, run_entry, run_job
+from limslam_agent.arena.scoring import BOUNDS, lost_scores
 from limslam_agent.arena.verify import differences, opened, verify
 from limslam_agent.cli.arena import write_kept_run
 from limslam_agent.measurements.store import RESULTS, open_store, read_stamp
 
+RANDOM = np.random.default_rng(0)
 PYTHON = MANIFEST.replace(
     'kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"'
 )
@@ -64,7 +69,34 @@ def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
     assert rows[0].metrics["plan_time_to_95_s"] == 2.0
     assert rows[0].versions["limslam"]
     assert rows[1].setting["robots"] == 2
-    assert list(verify(folder, entry, short_plans, None, 1)) == [(0, []), (1, [])]
+    assert list(verify(folder, entry, short_plans[:2], 1, RANDOM)) == [(0, []), (1, [])]
+    with pytest.raises(ValueError, match="1 plan of 3 has no results, such as plan 2"):
+        list(verify(folder, entry, short_plans, 1, RANDOM))
+
+
+def test_the_plans_that_are_verified_are_drawn_at_random(tmp_path, entry, short_plans, monkeypatch):
+    monkeypatch.setattr(
+        "limslam_agent.arena.verify.results_of", lambda todo, _jobs: map(row_of, todo)
+    )
+    folder = tmp_path / "out"
+    plans = [replace(short_plans[0], number=number) for number in range(40)]
+    monkeypatch.setattr("limslam_agent.arena.running.run_job", row_of)
+    run_all(entry, plans, folder)
+
+    def drawn(seed):
+        found = verify(folder, entry, plans, 1, np.random.default_rng(seed), count=5)
+        return [number for number, _ in found]
+
+    assert len(set(drawn(0))) == 5
+    assert drawn(0) == drawn(0)
+    assert len({number for seed in range(40) for number in drawn(seed)}) == len(plans)
+
+
+def row_of(job):
+    """The row of an entry that failed at once."""
+    metrics = lost_scores(job.plan, "failed: broken")
+    settings = digest_of({"plan": job.plan.setting, "entry": job.entry.digest})
+    return Row(job.plan.number, job.plan.setting, metrics, settings=settings, error="broken")
 
 
 def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
@@ -72,7 +104,10 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
     run_all(entry, short_plans[:1], folder)
     kept = (folder / RESULTS).read_bytes()
     with open_store(FORMAT, folder, read_stamp(FORMAT, folder)) as store:
-        store.append(replace(store.rows[0], plan=1, error="did not answer within 5 s"))
+        failed = lost_scores(short_plans[1], "failed: did not answer within 5 s")
+        store.append(
+            replace(store.rows[0], plan=1, metrics=failed, error="did not answer within 5 s")
+        )
     assert run_all(entry, short_plans[:2], folder)[1].error
     run_all(
         entry, short_plans[:1], folder, retry_failed=True
@@ -143,29 +178,39 @@ def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
         (folder / RESULTS).write_text(json.dumps({**line, **changes}) + "\n")
 
     rewrite(metrics={**line["metrics"], "path_m": line["metrics"]["path_m"] + 1e-12})
-    ((_, (difference,)),) = verify(folder, entry, short_plans, 1, 1)
+    ((_, (difference,)),) = verify(folder, entry, short_plans[:1], 1, RANDOM)
     assert difference.startswith("path_m ")
+    rewrite(metrics={name: value for name, value in line["metrics"].items() if name != "path_m"})
+    ((_, (difference,)),) = verify(folder, entry, short_plans[:1], 1, RANDOM)
+    assert difference.startswith("path_m missing, now ")
     rewrite(setting={**line["setting"], "noise": 0.0})
     with pytest.raises(ValueError, match="has another setting than the plan"):
-        list(verify(folder, entry, short_plans, 1, 1))
+        list(verify(folder, entry, short_plans[:1], 1, RANDOM))
     rewrite(settings="0" * 64)
     with pytest.raises(ValueError, match="is not of this entry"):
-        list(verify(folder, entry, short_plans, 1, 1))
+        list(verify(folder, entry, short_plans[:1], 1, RANDOM))
     assert row.plan == 0
 
 
 def test_a_process_is_verified_within_bounds(entry, short_plans):
     row = run_job(Job(entry, short_plans[0], {}, ""))
-    near, far = (
-        {**row.metrics, "correct_coverage": row.metrics["correct_coverage"] + off}
-        for off in (0.04, 0.06)
-    )
-    made = [type(row)(row.plan, row.setting, metrics) for metrics in (near, far)]
-    assert differences(row, made[0], is_process=True) == []
-    assert differences(row, made[0], is_process=False)
-    newer = type(row)(row.plan, row.setting, {**row.metrics, "a_newer_metric": 1.0})
-    assert differences(row, newer, is_process=False) == []
-    assert differences(row, made[1], is_process=True)[0].startswith("correct_coverage ")
+    row = replace(row, metrics={name: row.metrics[name] for name in BOUNDS})
+
+    def changed(**metrics):
+        return replace(row, metrics={**row.metrics, **metrics})
+
+    coverage = row.metrics["correct_coverage"]
+    near = changed(correct_coverage=coverage + 0.04)
+    assert differences(row, near, is_process=True) == []
+    assert differences(row, near, is_process=False)
+    far = {"correct_coverage": coverage + 0.06, "touches": 4, "anees_final": 2.0}
+    for name, value in far.items():
+        (difference,) = differences(row, changed(**{name: value}), is_process=True)
+        assert difference.startswith(f"{name} ")
+    newer = changed(a_newer_metric=1.0)
+    for is_process in (False, True):
+        assert differences(newer, row, is_process=is_process) == ["a_newer_metric 1.0, now missing"]
+        assert differences(row, newer, is_process=is_process) == ["a_newer_metric missing, now 1.0"]
 
 
 def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
@@ -177,7 +222,7 @@ def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
         opened(folder, None, 8)
     assert opened(folder, None, 7)[0].digest == entry.digest
     with pytest.raises(ValueError, match="has no results yet"):
-        list(verify(folder, entry, opened(folder, None, 7)[2], None, 1))
+        list(verify(folder, entry, opened(folder, None, 7)[2], 1, RANDOM))
     (entry.folder / "more.txt").touch()
     with pytest.raises(ValueError, match="was changed since"):
         opened(folder, None, 7)
@@ -226,41 +271,81 @@ def test_bad_input_is_refused_with_one_line(tmp_path, entry, words, reason, monk
 
 
 SPY = """
-import os, sys
+import os
 from pathlib import Path
-number, seen = os.getpid(), b""
-while number > 1:
+number, owners = os.getppid(), set()
+while True:
     place = Path("/proc", str(number))
-    seen += place.joinpath("cmdline").read_bytes() + place.joinpath("environ").read_bytes()
+    found = place.joinpath("mem").stat()
+    owners.add((found.st_uid, found.st_gid))
+    if b"limslam_agent" in place.joinpath("cmdline").read_bytes():
+        break
     number = int(place.joinpath("stat").read_text().rpartition(")")[2].split()[1])
-command = "a command" if b"arena" in seen else "nothing"
-sys.exit("the seed was seen" if b"31415926535" in seen else f"only {command} was seen")
+os.write(2, f"the memory belongs to {owners}".encode())
+os._exit(1)
 """
+LIVES_ON = """
+import os
+import time
+for _ in range(2):
+    if os.fork() == 0:
+        os.setsid()
+        open(f"{os.getpid()}.pid", "w").close()
+        os.closerange(0, 3)
+        time.sleep(600)
+os._exit(1)
+"""
+COMMAND = """name = "Spy"
+authors = ["A"]
+kind = "command"
+command = ["{python}", "spy.py"]
+uses = "readings"
+"""
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="other systems have no /proc")
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no /proc")
-def test_an_entry_does_not_see_the_secret_seed_in_the_processes_above_it(tmp_path):
-    folder = tmp_path / "spy"
-    folder.mkdir()
-    (folder / "spy.py").write_text(SPY)
-    (folder / "entry.toml").write_text(
-        'name = "Spy"\nauthors = ["A"]\nkind = "command"\ncommand = ["{python}", "spy.py"]\nuses '
-        '= "readings"\n'
-    )
-    words = [
-        sys.executable,
-        "-m",
-        "limslam_agent",
-        "arena",
-        "run",
-        folder,
-        "--out",
-        tmp_path / "out",
-    ]
+def made_spy(folder, program):
+    return made_entry(folder, COMMAND, spy=program)
+
+
+@LINUX
+def test_an_entry_does_not_see_the_memory_of_the_processes_above_it(tmp_path):
+    made_spy(tmp_path / "spy", SPY)
+    words = ("-m", "limslam_agent", "arena", "run", tmp_path / "spy", "--out", tmp_path / "out")
+    # The files of a process in /proc belong to the user and the group 0 if its memory is hidden.
     subprocess.run(
-        [*words, "--plans", "1", "--jobs", "1", "--secret-seed"],
+        [sys.executable, *words, "--plans", "1", "--jobs", "1", "--secret-seed"],
         input=b"31415926535\n",
         check=False,
+        group=65534 if os.geteuid() == 0 else None,
     )
     (row,) = read_results(tmp_path / "out")[1].values()
-    assert "only a command was seen" in row.error
+    assert row.error.endswith("the memory belongs to {(0, 0)}")
+
+
+@LINUX
+def test_what_an_entry_has_started_ends_with_its_plan(tmp_path, short_plans):
+    entry = made_spy(tmp_path / "spy", LIVES_ON)
+    (row,) = run_all(entry, short_plans[:1], tmp_path / "out")
+    assert "ended without stopping the robot" in row.error
+    started = [int(path.stem) for path in entry.folder.glob("*.pid")]
+    assert len(started) == 2
+    assert not [number for number in started if Path("/proc", str(number)).exists()]
+
+
+def test_a_user_that_does_not_exist_is_refused(tmp_path, short_plans):
+    entry = made_spy(tmp_path / "spy", LIVES_ON)
+    with pytest.raises(ValueError, match=r"there is no user 'nobody_here'|only root can"):
+        run_all(entry, short_plans[:1], tmp_path / "out", user="nobody_here")
+
+
+@LINUX
+def test_a_command_has_the_rights_of_the_chosen_user(tmp_path, short_plans):
+    shell = COMMAND.replace('["{python}", "spy.py"]', '["sh", "-c", "id -un >&2; exit 1"]')
+    entry = made_entry(tmp_path / "spy", shell)
+    if os.geteuid() != 0:
+        with pytest.raises(ValueError, match="only root can run a command as another user"):
+            run_all(entry, short_plans[:1], tmp_path / "out", user="nobody")
+        return
+    (row,) = run_all(entry, short_plans[:1], tmp_path / "out", user="nobody")
+    assert row.error.endswith("nobody")

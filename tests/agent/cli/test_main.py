@@ -5,14 +5,17 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
+import typer
 from support.bags import odometry, scan, write_bag
 from support.command_line import limslam
 
 from limslam_agent import read_log
 from limslam_agent.cli import warmup as warmup_module
+from limslam_agent.cli.terminal import run_command
 from limslam_env import load_world
 
 RUN_FILES = {
@@ -493,6 +496,21 @@ def test_a_kernel_says_that_it_is_compiled_once_and_never_again(tmp_path, quiet,
             check=True,
         )
         assert (result.stdout, result.stderr) == ("2 3\n", expected)
+
+
+def test_a_lack_of_memory_is_said_in_one_line(capsys):
+    app = typer.Typer()
+
+    @app.command()
+    def fill(pages: int = 1 << 50) -> None:
+        np.empty(pages)
+
+    with patch("sys.argv", ["fill"]), pytest.raises(SystemExit) as ended:
+        run_command(app, "fill")
+    assert ended.value.code == 2
+    message = capsys.readouterr().err
+    assert message.startswith("fill: there is not enough memory for this: Unable to allocate ")
+    assert message.count("\n") == 1
 
 
 def test_a_run_with_the_heading_of_an_imu_is_kept_replayed_and_inspected(tmp_path):

@@ -11,6 +11,7 @@ from support.data import data_folder
 from support.data import refusal as refused
 
 from limslam_agent.logs.carmen import read_carmen
+from limslam_agent.logs.recorded_log import LogError
 from limslam_agent.logs.relations import (
     RelationErrors,
     Relations,
@@ -195,3 +196,13 @@ def test_an_offline_mappers_trajectory_has_its_known_error() -> None:
     # The published 0.71 is with the nearest pose always; 102 of the 3370 moments are 0.10 to 0.19 s
     # from any pose, and moving on to them, as the definition wants, makes it 0.73.
     assert figures["relation_error_deg"] == pytest.approx(0.71, abs=0.03)
+
+
+def test_a_gzip_stream_that_grows_out_of_proportion_is_refused(tmp_path):
+    path = tmp_path / "drive.relations"
+    path.write_bytes(gzip.compress(b"# a comment\n" * 1_400_000))
+    assert path.stat().st_size < 1_000_000
+    with pytest.raises(LogError, match=r"the gzip stream has more than 16 MB.*unpack it first"):
+        read_relations(path)
+    path.write_bytes(b"# a comment\n" * 1_400_000 + b"0 1 0 0 0 0 0 0\n")
+    assert len(read_relations(path).start_time) == 1

@@ -151,10 +151,21 @@ def damage(name, content):
         (lambda folder: (folder / "map.json").unlink(), "cannot be read"),
         (lambda folder: (folder / "map.pgm").unlink(), "cannot be read"),
         (damage("map.json", "{"), "is not JSON"),
-        (damage("map.json", "[]"), "is no map of limslam"),
+        (damage("map.json", "[]"), "does not hold the content that a run writes"),
         (damage("map.json", '{"segments": []}'), "is no map of limslam"),
         (damage("map.json", '{"segments": [], "landmarks": []}'), "has no walls"),
-        (damage("map.json", '{"segments": [[0, 0, 1, NaN]], "landmarks": []}'), "not finite"),
+        (
+            damage("map.json", '{"segments": [[0, 0, 1, NaN]], "landmarks": []}'),
+            "are not rows of four numbers",
+        ),
+        (
+            damage("map.json", f'{{"segments": {[[0, 0, 1, 1]] * 20_001}, "landmarks": []}}'),
+            "it has 20001 walls; at most 20000 are read",
+        ),
+        (
+            damage("map.json", f'{{"segments": [], "landmarks": {[{}] * 20_001}}}'),
+            "it has 20001 landmarks; at most 20000 are read",
+        ),
         (damage("map.yaml", "resolution: a\norigin: [0, 0, 0]"), "is not as limslam writes it"),
         (damage("map.yaml", "resolution: 0\norigin: [0, 0, 0]"), "impossible"),
         (damage("map.pgm", "P5\n2 2\n255\nx"), "is not as limslam writes it"),

@@ -3,6 +3,8 @@ its place.
 """
 
 import json
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -98,6 +100,72 @@ def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
         Path(name, "trajectory_true.tum").read_bytes() for name in ("handed out", "second")
     )
     assert one == other
+
+
+def test_what_a_policy_imports_from_its_folder_is_kept_with_the_run(folder):
+    (folder / "unused.py").write_text("")
+    (folder / "gains_of_a_test.py").write_text("LEFT = 0.5\n")
+    (folder / "parts_of_a_test").mkdir()
+    (folder / "parts_of_a_test" / "right.py").write_text("RIGHT = 0.4\n")
+    (folder / "mine.py").write_text(
+        GOOD.replace(
+            "return np.array([0.5, 0.4])",
+            "from parts_of_a_test.right import RIGHT\n        return np.array([LEFT, RIGHT])",
+        )
+        + "from gains_of_a_test import LEFT\n"
+    )
+    words = [sys.executable, "-m", "limslam_agent", "run"]
+    subprocess.run([*words, "--policy", "mine.py:Ahead", "--out", "first"], check=True)
+    (folder / "elsewhere").mkdir()
+    (folder / "first").rename(folder / "elsewhere" / "first")
+    (folder / "gains_of_a_test.py").unlink()
+    kept = {path.name for path in (folder / "elsewhere" / "first").rglob("*.py")}
+    assert kept == {"mine.py", "gains_of_a_test.py", "right.py"}
+    again = [*words, "--config", "first/run.toml", "--out", "second"]
+    subprocess.run(again, check=True, cwd=folder / "elsewhere")
+    one, other = (
+        (folder / "elsewhere" / name / "trajectory_true.tum").read_bytes()
+        for name in ("first", "second")
+    )
+    assert one == other
+
+
+BAD = {
+    "exits": ("import sys\nsys.exit(0)\n", "line 2: SystemExit: 0"),
+    "hard": ("class Hard(BaseException): pass\nraise Hard('x')\n", "line 2: Hard: x"),
+    "parses": ("import argparse\nargparse.ArgumentParser().error('x')\n", "line 2: SystemExit: 2"),
+    "moves": ("import os\nos.chdir('/')\n" + GOOD, "has changed the working folder"),
+    "moves_late": (
+        GOOD.replace("self.left -= 1", "self.left -= 1; import os; os.chdir('/')"),
+        "has changed the working folder",
+    ),
+    "exits_late": (GOOD.replace("self.left -= 1", "raise SystemExit"), "in act: SystemExit"),
+    "property": (
+        "class Ahead:\n    @property\n    def act(self): raise RuntimeError('x')\n",
+        "line 3, in act: RuntimeError: x",
+    ),
+    "plan": (
+        GOOD + "Ahead.plan = property(lambda self: 1 / 0, lambda self, value: None)\n",
+        "ZeroDivisionError",
+    ),
+    "zero": ("a = 1\0", "null bytes"),
+    "wide": ("class Ahead: pass".encode("utf-16"), "SyntaxError"),
+    "sibling": ("import wrong\n", "line 1: SyntaxError"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_what_would_end_the_program_is_refused_in_one_line(name, folder):
+    content, words = BAD[name]
+    content = content if isinstance(content, bytes) else content.encode()
+    (folder / f"{name}.py").write_bytes(content)
+    done = limslam("run", "--policy", f"{name}.py:Ahead", "--max-time", "2", "--out", "out")
+    assert done.returncode == 2, done
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith(f"limslam: {name}.py")
+    assert words in last
+    assert Path.cwd() == folder
+    assert [path.name for path in folder.iterdir() if "out" in path.name] == []
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def test_faults_begin_when_the_seed_says():
         ),
         (
             GRID.replace("0.02", "-0.02"),
-            "noise (range_std) must be a number of 0 or more, not -0.02",
+            "noise (range_std) must be a number from 0 to 1000, not -0.02",
         ),
         (GRID + "presets = ['best']\n", "no preset is called 'best'"),
         (GRID + "robots = [0]\n", "there can be 1 to 8 robots, not 0"),
@@ -120,7 +120,18 @@ def test_faults_begin_when_the_seed_says():
         (GRID + "faults = ['jump']\nfault_time = [10, 9]\n", "fault_time: must be two times"),
         (GRID + "faults = ['jump']\nrobots = [2]\n", "faults are for one robot that explores"),
         (GRID.replace("[0]", "[-1]"), "[[grid]] 1: seeds: a seed is 0 or more, not -1"),
-        (GRID.replace("[0]", "{first = 0, count = 9000000000000}"), "a grid has 1 to 100000 seeds"),
+        (GRID.replace("[0]", "{first = 0, count = 9000000000000}"), "a grid has 1 to 5000 seeds"),
+        (
+            GRID.replace('["env1"]', '["random:0..999999"]').replace(
+                "[0]", "{first = 0, count = 5000}"
+            ),
+            "a suite has at most 5000 jobs, and these are more",
+        ),
+        (
+            GRID.replace("[0]", "{first = 0, count = 3000}")
+            + GRID[GRID.index("[[grid]]") :].replace("[0]", "{first = 3000, count = 3000}"),
+            "a suite has at most 5000 jobs, and these are more",
+        ),
         (
             GRID.replace("[0]", "[0, 0]"),
             "2 jobs are the same to the tables: env1, 2 cm, paper, frontier, seed 0",

@@ -1,0 +1,45 @@
+"""Reads ``map.json``, which anybody may have made."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.safe_files import read_limited
+from limslam_env.geometry import FloatArray
+
+MOST_WALLS = 20_000
+"""Most walls and most landmarks of a map that are read: more take minutes to draw and to score, and
+no building has so many.
+"""
+
+
+def read_map_file(path: Path) -> tuple[dict[str, Any], FloatArray]:
+    """The content of a ``map.json``, and its walls (k, 4), m, in which every number is finite.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be read, is no such map, or has more than ``MOST_WALLS`` walls or
+        landmarks. The message names the file.
+    """
+    try:
+        content = json.loads(read_limited(path))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: does not hold the content that a run writes")  # noqa: TRY004 (a value)
+    listed = content.get("segments")
+    for part, name in ((listed, "walls"), (content.get("landmarks"), "landmarks")):
+        if isinstance(part, list) and len(part) > MOST_WALLS:
+            raise ValueError(f"{path}: it has {len(part)} {name}; at most {MOST_WALLS} are read")
+    try:
+        walls = np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
+    except (TypeError, ValueError, OverflowError):
+        walls = None
+    if walls is None or len(walls) > MOST_WALLS or not np.isfinite(walls).all():
+        raise ValueError(f"{path}: its segments are not rows of four numbers")
+    return content, walls
