@@ -142,6 +142,8 @@ def completeness(columns: Iterable[Column]) -> int:
     odometry and ranges.
     """
     columns = tuple(columns)
+    if not columns:  # as of most lines of other logs
+        return 0
     places = _first_places(columns)
     _, motion = _odometry(columns, places, has_robot=True)
     return (Role.TIME in places) + bool(motion) + (Role.RANGE in places)

@@ -32,7 +32,9 @@ DIAGRAMS = {
     "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
     "simulator    geometry <-": "which package may import which; test_architecture has the rules",
     "# t1   t2": "relations of a tape; a test below reads them",
-    "H,1,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
+    "docker run": "needs Docker and an entry; it is the command of a judge",
+    "H,2,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
+    "limslam: warning: the odometry jumps": "a warning; test_odometry_breaks has its words",
     "turned   ": "a line of the summary; a test below prints it",
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.

@@ -37,12 +37,15 @@ HIGHEST = {
     "axle_mismatch": 0.5,
     "slip_rate": 1e6,
     "slip_share": 1.0,
+    "yaw_std": 1e3,
+    "yaw_drift": 10.0,
+    "yaw_resolution": 1.0,
 }
-MISMATCHES = {"wheel_mismatch", "axle_mismatch"}
+SIGNED = {"wheel_mismatch", "axle_mismatch", "yaw_drift"}
 
 
 def lowest(name: str) -> float:
-    return -HIGHEST[name] if name in MISMATCHES else 0.0
+    return -HIGHEST[name] if name in SIGNED else 0.0
 
 
 def test_every_setting_has_its_bounds_here():
@@ -195,7 +198,7 @@ def test_a_beam_in_millimetres_is_refused(wrong):
 
 @pytest.mark.parametrize(("period", "phase"), [(1, 1), (6, 6), (6, -1)])
 def test_a_phase_lies_within_the_period(period, phase):
-    words = f"a beam's phase must be 0 or more and below its period of {period}, not {phase}"
+    words = f"a beam's phase, in steps, must be a whole number from 0 to {period - 1}, not {phase}"
     with pytest.raises(ValueError, match=re.escape(words)):
         SensorSpec(0.0, 0.0, 0.0, period=period, phase=phase)
     assert SensorSpec(0.0, 0.0, 0.0, period=7, phase=6).phase == 6

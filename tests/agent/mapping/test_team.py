@@ -66,7 +66,7 @@ def test_a_team_explores_together_without_touching():
 
 
 def test_bad_teams_are_refused():
-    with pytest.raises(ValueError, match="one robot or more"):
+    with pytest.raises(ValueError, match="must be a whole number from 1 to 64"):
         LimSlamTeam(ROBOT, num_robots=0)
     with pytest.raises(ValueError, match="1 policies for 2 robots"):
         LimSlamTeam(ROBOT, policies=[FrontierPolicy(ROBOT, AgentConfig().policy)])

@@ -284,7 +284,7 @@ def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
 
 @pytest.mark.parametrize("cone", [-0.1, 1.0])
 def test_an_impossible_opening_angle_is_refused(cone: float) -> None:
-    with pytest.raises(ValueError, match="half the opening angle"):
+    with pytest.raises(ValueError, match=r"cone must be a number from 0 to 0\.785398 rad"):
         RobotSpec(cone=cone)
 
 
