@@ -26,7 +26,8 @@ over the circle.
 
 # The readings are compared with the map when the robot has moved by ``SPACING``, m, and the
 # estimator extracts lines in the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn
-# by one radian counts like ``TURN_LENGTH``, m.
+# by one radian counts like ``TURN_LENGTH``, m. The readings of a robot
+# that stands are compared when there are ``STEPS`` new ones: no comparison uses more.
 SPACING, TURN_LENGTH = 0.10, 0.40
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
@@ -152,7 +153,9 @@ class StatusMonitor:
         self._headings[1] = np.maximum(self._headings[1], self._turned)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
-        return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
+        moved = self._place - self._checked
+        is_due = is_jump or moved >= (SPACING if is_busy else LONGEST_SPACING)
+        return is_due or len(self._sights) >= 2 * STEPS
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.

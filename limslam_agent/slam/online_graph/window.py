@@ -9,6 +9,7 @@ with the share of driving that is new in it, and the sum is the prior of the nex
 import math
 from bisect import bisect_left
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, Smoothi
 from limslam_agent.slam.graph.key_poses import (
     APART,
     ERRORS,
+    STANDING,
     KeyPoses,
     LogData,
     Trajectory,
@@ -33,11 +35,17 @@ from limslam_agent.slam.graph.smoothing import (
 )
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import between
+from limslam_env.geometry.se2 import between, compose
 
 _ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
 """Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is
 short.
+"""
+
+
+_STANDING_EVENTS = 1500
+"""Number of events in succession without motion from which on the newest one takes the place of the
+one before: more of them would say nothing new.
 """
 
 
@@ -52,11 +60,14 @@ class RecentEvents:
     travel, turned, backwards
         Distance driven, m, with ``APART`` for each break of odometry, angle turned, rad, and
         distance driven backwards, m, by odometry up to the last event.
+    last_motion
+        Motion (3,) by odometry from the event before to the last event.
     """
 
     def __init__(self) -> None:
         self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
         self._odometry: FloatArray | None = None
+        self.last_motion, self._standing = np.zeros(3), 0
         self._times, self._travels = list[float](), list[float]()
         self._breaks = dict[int, FloatArray]()
         self._moves, self._ranges, self._hits = (
@@ -89,6 +100,15 @@ class RecentEvents:
             self.travel += APART
         self.turned += abs(float(move[2]))
         self.backwards -= min(float(move[0]), 0.0)
+        self.last_motion, moved = move, np.abs(move)
+        if self._standing >= _STANDING_EVENTS:
+            moved = moved + np.abs(self._moves[-1])
+        is_standing = break_stds is None and bool((moved <= STANDING).all())
+        self._standing = self._standing + 1 if is_standing else 0
+        if self._standing > _STANDING_EVENTS:
+            move = compose(self._moves[-1], move)
+            for events in self._kept:
+                del events[-1:]
         self._times.append(time)
         self._travels.append(self.travel)
         for events, each in ((self._moves, move), (self._ranges, ranges), (self._hits, hit)):
@@ -105,15 +125,15 @@ class RecentEvents:
     def forget_before(self, event: int) -> None:
         """Forget the events before an event."""
         old = slice(0, event - self.first)
-        for events in (self._times, self._travels, self._moves, self._ranges, self._hits):
+        for events in self._kept:
             del events[old]
         self.first = event
         self._breaks = {row: stds for row, stds in self._breaks.items() if row > event}
 
     @property
-    def last_motion(self) -> FloatArray:
-        """Motion (3,) by odometry from the event before to the last event."""
-        return self._moves[-1]
+    def _kept(self) -> tuple[list[Any], ...]:
+        """What is kept of each event."""
+        return self._times, self._travels, self._moves, self._ranges, self._hits
 
     def turn_round(self, begin: int, end: int) -> None:
         """Take the motions between two events as driven backwards."""
