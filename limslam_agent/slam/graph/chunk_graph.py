@@ -70,7 +70,7 @@ _BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
 
 
 _GRIDS = 100
-"""Number of search grids that are kept, 0.2 MB each. The others are made again when they are searched.
+"""Number of search grids that are kept, 0.2 MB each. Others are made again when they are searched.
 """
 
 NO_SUPPORT = "no other loop nearby agrees"
@@ -226,8 +226,8 @@ class ChunkGraph:
     def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
         """Covariances (f, d, d) of quantities, relative to the first chunk.
 
-        Their Jacobians (f, d, q) refer to the coordinates ``columns`` (f, q) of the poses. The joint
-        covariance of all poses is never made: it would grow with the square of a drive's length.
+        Their Jacobians (f, d, q) refer to the coordinates ``columns`` (f, q) of the poses. The
+        joint covariance of all poses is never made: it grows with the square of a drive's length.
         """
         if len(self.poses) == 1:
             return np.zeros((len(jacobian), jacobian.shape[1], jacobian.shape[1]))

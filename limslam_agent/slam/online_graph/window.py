@@ -17,7 +17,8 @@ from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, Smoothi
 from limslam_agent.slam.graph.key_poses import (
     APART,
     ERRORS,
-    STANDING,
+    KEY_DISTANCE,
+    KEY_TURN,
     KeyPoses,
     LogData,
     Trajectory,
@@ -43,9 +44,9 @@ short.
 """
 
 
-_STANDING_EVENTS = 1500
-"""Number of events in succession without motion from which on the newest one takes the place of the
-one before: more of them would say nothing new.
+_CROWD = 500
+"""Number of events near one place that are kept. Each further one takes the place of the last one:
+a robot that stands or creeps sees nothing new.
 """
 
 
@@ -67,7 +68,8 @@ class RecentEvents:
     def __init__(self) -> None:
         self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
         self._odometry: FloatArray | None = None
-        self.last_motion, self._standing = np.zeros(3), 0
+        self.last_motion = np.zeros(3)
+        self._place, self._crowd = (0.0, 0.0), 0  # travel and turn of a place, and its events
         self._times, self._travels = list[float](), list[float]()
         self._breaks = dict[int, FloatArray]()
         self._moves, self._ranges, self._hits = (
@@ -100,12 +102,12 @@ class RecentEvents:
             self.travel += APART
         self.turned += abs(float(move[2]))
         self.backwards -= min(float(move[0]), 0.0)
-        self.last_motion, moved = move, np.abs(move)
-        if self._standing >= _STANDING_EVENTS:
-            moved = moved + np.abs(self._moves[-1])
-        is_standing = break_stds is None and bool((moved <= STANDING).all())
-        self._standing = self._standing + 1 if is_standing else 0
-        if self._standing > _STANDING_EVENTS:
+        self.last_motion = move
+        travel, turned = self._place
+        if self.travel - travel >= KEY_DISTANCE or self.turned - turned >= KEY_TURN:
+            self._place, self._crowd = (self.travel, self.turned), 0
+        self._crowd += 1
+        if self._crowd > _CROWD:
             move = compose(self._moves[-1], move)
             for events in self._kept:
                 del events[-1:]
