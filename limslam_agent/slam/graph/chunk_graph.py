@@ -69,8 +69,9 @@ _BEST = 3  # loops from one chunk
 _BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
 
 
-_GRIDS = 100
-"""Number of search grids that are kept, 0.2 MB each. Others are made again when they are searched.
+_MOST_SEARCHED = 150
+"""Number of chunks in which the newest one is searched, and of search grids that are kept, 0.2 MB
+each.
 """
 
 NO_SUPPORT = "no other loop nearby agrees"
@@ -265,11 +266,11 @@ class ChunkGraph:
         newest, travel = len(self.maps) - 1, np.array([each.travel for each in self.maps])
         old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
         guesses = se2.between(self.poses[old], self.poses[newest])
-        is_near = np.hypot(guesses[:, 0], guesses[:, 1]) <= _MOST_DISTANCE
-        old, guesses = old[is_near], guesses[is_near]
-        if not len(old):
-            return []
         distance = np.hypot(guesses[:, 0], guesses[:, 1])
+        searched = _some_near(distance)
+        if not len(searched):
+            return []
+        old, guesses, distance = old[searched], guesses[searched], distance[searched]
         position_std, turn_std = self._stds_from(old)
         least, _ = SCORES
         for row in np.nonzero(distance <= _GATE + _SIGMAS * position_std)[0]:
@@ -313,9 +314,19 @@ class ChunkGraph:
         """The search grid of a chunk; the latest ones are kept."""
         chunk, found = self.maps[number], self._grids.pop(number, None)
         self._grids[number] = found or search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
-        if len(self._grids) > _GRIDS:
+        if len(self._grids) > _MOST_SEARCHED:
             del self._grids[next(iter(self._grids))]
         return self._grids[number]
+
+
+def _some_near(distance: FloatArray) -> IntArray:
+    """Those of the chunks at distances (k,), m, that are searched: of many, some of each distance.
+
+    Where a robot has been so often, the others show the same.
+    """
+    near = np.flatnonzero(distance <= _MOST_DISTANCE)
+    chosen = np.linspace(0, len(near) - 1, min(len(near), _MOST_SEARCHED)).astype(np.int64)
+    return np.sort(near[np.argsort(distance[near], kind="stable")[chosen]])
 
 
 def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> list[Loop]:
