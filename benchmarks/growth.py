@@ -13,7 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from limslam_agent import Mapper
+from limslam_agent import AgentConfig, Mapper
 from limslam_agent.output.summary import peak_memory
 from limslam_agent.runs.policies import Tour
 from limslam_agent.slam.graph.key_poses import LogData
@@ -53,32 +53,32 @@ def _standing(robot: RobotSpec, seen: Observation) -> Iterator[Observation]:
         )
 
 
-def drives() -> Iterator[None]:
+def drives(config: AgentConfig | None = None) -> Iterator[None]:
     """A robot drives laps."""
     robot = RobotSpec()
-    mapper = Mapper(robot)
+    mapper = Mapper(robot, config)
     for seen in _laps(robot):
         yield mapper.step(seen)
 
 
-def stands() -> Iterator[None]:
+def stands(config: AgentConfig | None = None) -> Iterator[None]:
     """A robot stands after a drive."""
     robot = RobotSpec()
-    mapper = Mapper(robot)
+    mapper = Mapper(robot, config)
     yield from _stands_after(mapper, itertools.islice(_laps(robot), _FIRST))
 
 
-def lost() -> Iterator[None]:
+def lost(config: AgentConfig | None = None) -> Iterator[None]:
     """A robot stands after its odometry has jumped, and it is lost."""
     robot = RobotSpec()
-    mapper, laps = Mapper(robot), _laps(robot)
+    mapper, laps = Mapper(robot, config), _laps(robot)
     yield from _stands_after(mapper, itertools.islice(_jumping(laps), _FIRST))
 
 
-def placed() -> Iterator[None]:
+def placed(config: AgentConfig | None = None) -> Iterator[None]:
     """A robot stands after it has found its place again, which is not confirmed."""
     robot = RobotSpec()
-    mapper = Mapper(robot)
+    mapper = Mapper(robot, config)
     until_found = itertools.takewhile(
         lambda _: "found" not in [each["event"] for each in mapper.places.records],
         _jumping(_laps(robot)),
@@ -102,8 +102,9 @@ def _stands_after(mapper: Mapper, drive: Iterator[Observation]) -> Iterator[None
         yield mapper.step(seen)
 
 
-def blind() -> Iterator[None]:
+def blind(config: AgentConfig | None = None) -> Iterator[None]:
     """The graph of a log of poses: a robot moves where its beams see nothing."""
+    del config
     robot = RobotSpec()
     graph, number = _graph(robot), 0
     nothing = np.zeros(len(robot.beams), dtype=bool)
@@ -113,8 +114,9 @@ def blind() -> Iterator[None]:
         number += 1
 
 
-def log() -> Iterator[None]:
+def log(config: AgentConfig | None = None) -> Iterator[None]:
     """The graph of a log of poses: laps."""
+    del config
     robot = RobotSpec()
     graph, pose = _graph(robot), np.zeros(3)
     for number, seen in enumerate(_laps(robot)):
@@ -132,7 +134,7 @@ def _graph(robot: RobotSpec) -> OnlineGraph:
     return OnlineGraph(data, np.zeros(3))
 
 
-CASES: dict[str, Callable[[], Iterator[None]]] = {
+CASES: dict[str, Callable[..., Iterator[None]]] = {
     each.__name__: each for each in (stands, lost, placed, drives, blind, log)
 }
 
