@@ -58,7 +58,8 @@ def drives(config: AgentConfig | None = None) -> Iterator[None]:
     robot = RobotSpec()
     mapper = Mapper(robot, config)
     for seen in _laps(robot):
-        yield mapper.step(seen)
+        mapper.step(seen)
+        yield
 
 
 def stands(config: AgentConfig | None = None) -> Iterator[None]:
@@ -97,9 +98,11 @@ def _stands_after(mapper: Mapper, drive: Iterator[Observation]) -> Iterator[None
     """The steps of a mapper in a drive, and then of a robot that stands."""
     for seen in drive:
         last = seen
-        yield mapper.step(seen)
+        mapper.step(seen)
+        yield
     for seen in _standing(mapper.robot, last):
-        yield mapper.step(seen)
+        mapper.step(seen)
+        yield
 
 
 def blind(config: AgentConfig | None = None) -> Iterator[None]:
@@ -110,7 +113,8 @@ def blind(config: AgentConfig | None = None) -> Iterator[None]:
     nothing = np.zeros(len(robot.beams), dtype=bool)
     while True:
         pose = np.array([0.1 * _SPEED * number, 0.0, 0.0])
-        yield graph.step(0.1 * number, pose, robot.max_ranges, nothing)
+        graph.step(0.1 * number, pose, robot.max_ranges, nothing)
+        yield
         number += 1
 
 
@@ -124,7 +128,8 @@ def log(config: AgentConfig | None = None) -> Iterator[None]:
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, robot.axle)))
         ranges = np.asarray(seen["ranges"], dtype=float)
         hit = (ranges > robot.too_near) & (ranges < robot.too_far)
-        yield graph.step(0.1 * number, pose, ranges, hit)
+        graph.step(0.1 * number, pose, ranges, hit)
+        yield
 
 
 def _graph(robot: RobotSpec) -> OnlineGraph:
