@@ -294,7 +294,7 @@ def test_where_nothing_is_seen_the_graph_goes_on_by_odometry(blind):
     graph, poses, covariances, _, _ = driven(replace(data, hit=hit), truth[0], len(data.time))
     off = np.hypot(*(poses - truth)[:, :2].T)
     assert off.max() < 1.5
-    assert off[-1] < 0.3
+    assert off[-1] < 0.6
     # The motion that only odometry tells is part of the chain of chunks, with its uncertainty.
     assert covariances[blind.stop - 1, :2, :2].trace() > covariances[blind.start, :2, :2].trace()
     travel = [chunk.travel for chunk in graph.places.maps]
