@@ -188,6 +188,22 @@ def speed(
         print_rates(time.process_time if processor_time else time.perf_counter)
 
 
+@app.command()
+def growth(
+    cases: Annotated[
+        str, typer.Option(help="Names of cases, with commas.", show_default="all")
+    ] = "",
+    hours: Annotated[int, typer.Option(min=1, help="Simulated hours of each case.")] = 10,
+) -> None:
+    """Measure memory and time of a step over simulated hours."""
+    from benchmarks.growth import CASES, print_growth
+
+    unknown = set(_names(cases)) - set(CASES)
+    if unknown:
+        raise ValueError(f"no case is called {min(unknown)!r}; there are {', '.join(CASES)}")
+    print_growth(_names(cases) or tuple(CASES), hours)
+
+
 def main() -> None:
     """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130
     stopped.

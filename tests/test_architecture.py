@@ -226,7 +226,7 @@ COMPOSITION = {
     "limslam_agent.live.emulator",
 }
 # Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis,
-# training, scoreboard; speed beside.
+# training, scoreboard; speed and growth beside.
 BENCHMARKS = {
     "benchmarks": set(),
     "benchmarks.suite": set(),
@@ -234,12 +234,14 @@ BENCHMARKS = {
     "benchmarks.training": {"benchmarks.suite"},
     "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
+    "benchmarks.growth": set(),
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
         "benchmarks.training",
         "benchmarks.scoreboard",
         "benchmarks.speed",
+        "benchmarks.growth",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -132,6 +132,9 @@ class Frames:
         own, sensor = self._present.monitors[0], self.slam.range_sensor
         step = Sight.of(self.slam.robots[0], self.slam.pose, motion, observation)
         recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
+        if recovery.is_too_long:
+            self._own_map = self.map_number
+            recovery.stay()
         if own.loss is not None and recovery.still_fits(own, sensor):
             self._present.reset_monitors()
         elif own.loss is not None:

@@ -270,7 +270,8 @@ class JoiningMapper(Mapper):
         """
         places = [mapper.places for mapper in self._alone]
         return any(
-            each.breaks or any(record["event"] == "begun anew" for record in each.records)
+            each.breaks
+            or any(record["event"] in {"begun anew", "given up"} for record in each.records)
             for each in places
         )
 

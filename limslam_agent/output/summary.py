@@ -105,11 +105,11 @@ def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[
         **parts,
         "speed_x_real_time": duration / wall_clock,
         "wall_clock_s": wall_clock,
-        **_memory(),
+        **peak_memory(),
     }
 
 
-def _memory() -> dict[str, float]:
+def peak_memory() -> dict[str, float]:
     """The most memory that this process has had, MB. Windows does not tell it in this way."""
     if sys.platform == "win32":
         return {}

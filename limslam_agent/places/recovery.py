@@ -38,12 +38,12 @@ from limslam_agent.places.localisation import (
     match_covariance,
     other_place,
 )
-from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
+from limslam_agent.places.revisions import BEGUN_ANEW, GIVEN_UP, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
-from limslam_agent.status.rays import Sight, moved, rays_of
+from limslam_agent.status.rays import STEPS, Sight, moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -52,6 +52,12 @@ from limslam_env.interface import RobotSpec
 # Number of steps between two copies of the estimate, number of copies that are kept, and least
 # number of steps by which a copy must be older than the first doubt about the estimate.
 _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
+
+LONGEST_ABSENCE = 18_000
+"""Number of steps after which the frame from before a doubt is given up: half an hour with steps of
+0.1 s. All steps since the doubt are kept until then, since they would have to be processed again in
+that frame.
+"""
 
 
 class Recovery:
@@ -62,7 +68,8 @@ class Recovery:
     Attributes
     ----------
     log
-        The latest steps; all steps since the robot was lost.
+        The latest steps; all steps since the robot was lost, as long as it may go back to the
+        earlier frame.
     absence
         What is known about a robot that is lost, or that is not yet sure of its place; None
         otherwise.
@@ -149,11 +156,14 @@ class Recovery:
             if self.is_lost:
                 return
         if not self._copies or self.log.end % _CHECKPOINT == 0:
-            kept = self._copies[: _CHECKPOINTS // 2] if is_suspicious else []
-            later = [*self._copies[len(kept) :], self._copy(slam, grid)]
+            young = [each for each in self._copies if each.step > self.log.end - LONGEST_ABSENCE]
+            kept = young[: _CHECKPOINTS // 2] if is_suspicious else []
+            later = [*young[len(kept) :], self._copy(slam, grid)]
             self._copies = [*kept, *later[len(kept) - _CHECKPOINTS :]]
             if self.absence is None:
                 self.log.forget_before(self._copies[0].step)
+            elif self.absence.known is None:
+                self.log.forget_before(min(self._copies[0].step, self.log.end - STEPS))
 
     def move(self, poses: Sequence[FloatArray]) -> None:
         """A renewal has moved the latest steps to poses (3,): copies from before and searches mean
@@ -233,6 +243,26 @@ class Recovery:
         self.note_event("begun anew", step=absence.first)
         self._believe(BEGUN_ANEW, absence.first, absence.search.place, np.empty((0, 7)))
         return True
+
+    @property
+    def is_too_long(self) -> bool:
+        """Whether the frame from which the robot was lost is to be given up."""
+        is_away = self.absence is not None and self.absence.known is not None
+        return is_away and len(self.log.steps) > LONGEST_ABSENCE
+
+    def stay(self) -> None:
+        """Give up the frame from which the robot was lost.
+
+        The map in which it is now takes the place of the earlier one, and the robot is unsure of it
+        until nothing speaks against it.
+        """
+        absence, reason = self.absence, NOT_CONFIRMED
+        assert absence is not None  # noqa: S101 (the robot is away)
+        if absence.placed is None:
+            self._offset = self.added_covariance
+            self.note_event("given up", step=absence.first)
+            absence.placed, reason = Placed(absence.driven, np.empty((0, 7)), None), GIVEN_UP
+        absence.loss, absence.known, absence.steps = Loss(Status("unsure", reason), 0), None, ()
 
     def arrive(
         self, steps: Sequence[Sight], poses: FloatArray, place: KnownPlaces, rays: FloatArray

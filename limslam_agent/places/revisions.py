@@ -16,12 +16,16 @@ NOT_CONFIRMED = "the robot's place was found, and it is not confirmed yet"
 BEGUN_ANEW = (
     "the robot was lost before its map had walls, and has begun a new map where it believed to be"
 )
+GIVEN_UP = (
+    "the robot was lost for so long that its latest map has taken the place of the earlier one"
+)
 _UNCONFIRMED = {
     event: Status("unsure", reason)
     for event, reason in (
         ("found", NOT_CONFIRMED),
         ("renewed", NOT_CONFIRMED),
         ("begun anew", BEGUN_ANEW),
+        ("given up", GIVEN_UP),
     )
 }
 

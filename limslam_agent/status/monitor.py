@@ -27,7 +27,8 @@ over the circle.
 
 # The readings are compared with the map when the robot has moved by ``SPACING``, m, and the
 # estimator extracts lines in the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn
-# by one radian counts like ``TURN_LENGTH``, m.
+# by one radian counts like ``TURN_LENGTH``, m. The readings of a robot
+# that stands are compared when there are ``STEPS`` new ones: no comparison uses more.
 SPACING, TURN_LENGTH = 0.10, 0.40
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
@@ -140,7 +141,9 @@ class StatusMonitor:
         compare_with_before(sight.ranges, self._robot.too_far, limit, turn, self._steady)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
-        return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
+        moved = self._place - self._checked
+        is_due = is_jump or moved >= (SPACING if is_busy else LONGEST_SPACING)
+        return is_due or len(self._sights) >= 2 * STEPS
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.

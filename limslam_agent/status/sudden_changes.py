@@ -44,6 +44,8 @@ _EXPLAINED = (
     1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 )
 _MAPS = 4
+# Number of changes that are remembered. Driving makes fewer in a window, standing makes any number.
+_CHANGES = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +180,7 @@ class SuddenChanges:
                 self.suspicion = found
             if is_doubted or place - change.place <= WINDOW:
                 kept.append(change)
-        self._changes = kept
+        self._changes = kept[-_CHANGES:]
 
     def _carried(
         self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray

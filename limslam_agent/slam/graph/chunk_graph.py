@@ -33,7 +33,7 @@ from limslam_agent.slam.graph.matching import (
     match_covariance,
     search_grid,
 )
-from limslam_agent.slam.graph.posterior import aligned_covariance
+from limslam_agent.slam.graph.posterior import rigid_motions
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray, IntArray, se2
 
@@ -68,6 +68,11 @@ SCORES = 0.50, 0.40
 _BEST = 3  # loops from one chunk
 _BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
 
+
+_MOST_SEARCHED = 150
+"""Number of chunks in which the newest one is searched, and of search grids that are kept, 0.2 MB
+each.
+"""
 
 NO_SUPPORT = "no other loop nearby agrees"
 OUTVOTED = "its weight in the graph of chunks is too low"
@@ -135,12 +140,6 @@ def _solved(
     return poses, _equations(poses, hops, loops, 1.0)[1]
 
 
-def joint_covariance(poses: FloatArray, hops: Hops, loops: Sequence[Loop]) -> FloatArray:
-    """Joint covariance (3 c, 3 c) of the poses (c, 3) of a solution. The first pose is fixed."""
-    equations, _ = _equations(poses, hops, loops, 1.0)
-    return equations.solved(equations.factorise(), np.eye(equations.size))
-
-
 def carry_over(
     keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses: FloatArray
 ) -> Trajectory:
@@ -198,8 +197,6 @@ class ChunkGraph:
         The c chunks.
     poses
         Their poses (c, 3).
-    covariance
-        Joint covariance (3 c, 3 c) of their poses, relative to the first chunk.
     hops
         Motions from each chunk to the next.
     loops
@@ -207,7 +204,7 @@ class ChunkGraph:
     """
 
     def __init__(self, chunk: LocalMap, pose: FloatArray) -> None:
-        self.maps, self.poses, self.covariance = [chunk], pose[None], np.zeros((3, 3))
+        self.maps, self.poses = [chunk], pose[None]
         self.hops, self.loops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3))), list[Loop]()
         self._grids = dict[int, SearchGrid]()
 
@@ -216,9 +213,27 @@ class ChunkGraph:
         """Standard deviation of the last chunk's position in the map, m: after the alignment of all
         chunks.
         """
-        columns = (3 * np.arange(len(self.poses))[:, None] + np.arange(2)).ravel()
-        left = aligned_covariance(self.covariance[np.ix_(columns, columns)], self.poses[:, :2])
-        return float(np.sqrt(max(np.trace(left[-2:, -2:]), 0.0)))
+        columns = pose_columns(np.arange(len(self.poses)))[:, :2].reshape(1, -1)
+        basis = rigid_motions(self.poses[:, :2])
+        aligned = np.eye(columns.size)[-2:] - basis[-2:] @ basis.T
+        return float(np.sqrt(max(np.trace(self.covariances(columns, aligned[None])[0]), 0.0)))
+
+    @property
+    def last_covariance(self) -> FloatArray:
+        """Covariance (3, 3) of the last chunk's pose, relative to the first chunk."""
+        last = pose_columns(np.array([len(self.poses) - 1]))
+        return np.asarray(self.covariances(last, np.eye(3)[None])[0])
+
+    def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
+        """Covariances (f, d, d) of quantities, relative to the first chunk.
+
+        Their Jacobians (f, d, q) refer to the coordinates ``columns`` (f, q) of the poses. The
+        joint covariance of all poses is never made: it grows with the square of a drive's length.
+        """
+        if len(self.poses) == 1:
+            return np.zeros((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
+        equations, _ = _equations(self.poses, self.hops, self.loops, 1.0)
+        return equations.covariances(columns, jacobian)
 
     def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
         """Add a chunk, search for its loops, and solve the graph if it has changed.
@@ -231,10 +246,6 @@ class ChunkGraph:
             np.vstack((before, motions)), np.concatenate((self.hops.covariances, covariance[None]))
         )
         self.maps.append(chunk)
-        by_pose, by_motion = se2.compose_jacobians(self.poses[-1], motions[-1])
-        across = by_pose @ self.covariance[-3:]
-        own = across[:, -3:] @ by_pose.T + by_motion @ covariance @ by_motion.T
-        self.covariance = np.block([[self.covariance, across.T], [across, own]])
         self.poses = np.vstack((self.poses, se2.compose(self.poses[-1], motions[-1])))
         self.close(self._loops_of_newest())
         if len(motions) > 1:
@@ -248,21 +259,21 @@ class ChunkGraph:
 
     def _solve(self) -> None:
         self.poses, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
-        self.covariance = joint_covariance(self.poses, self.hops, self.loops)
 
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""
         candidates: list[tuple[int, Match]] = []
         newest, travel = len(self.maps) - 1, np.array([each.travel for each in self.maps])
         old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
-        if not len(old):
-            return []
-        guesses, position_std, turn_std = self._seen_from(old)
+        guesses = se2.between(self.poses[old], self.poses[newest])
         distance = np.hypot(guesses[:, 0], guesses[:, 1])
+        searched = _some_near(distance)
+        if not len(searched):
+            return []
+        old, guesses, distance = old[searched], guesses[searched], distance[searched]
+        position_std, turn_std = self._stds_from(old)
         least, _ = SCORES
-        for row in np.nonzero(
-            distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std)
-        )[0]:
+        for row in np.nonzero(distance <= _GATE + _SIGMAS * position_std)[0]:
             shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
             turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
             window = Window(shift, turn, TURN_STEP)
@@ -288,31 +299,34 @@ class ChunkGraph:
         mean, covariance = match_covariance(grid, points, found.pose, TURN_STEP, (back, others))
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score)
 
-    def _seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """The newest chunk's pose in the frames of old chunks (k, 3), and its standard deviations
-        (k,), m and rad.
+    def _stds_from(self, old: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations (k,), m and rad, of the newest chunk's pose in the frames of old
+        chunks (k,).
         """
         newest = np.full(len(old), len(self.poses) - 1)
         _, jacobian = relation_factor(self.poses, newest, old, np.zeros((len(old), 3)))
         columns = np.hstack((pose_columns(newest), pose_columns(old)))
-        covariance = (
-            jacobian
-            @ self.covariance[columns[:, :, None], columns[:, None]]
-            @ jacobian.transpose(0, 2, 1)
-        )
+        covariance = self.covariances(columns, jacobian)
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
-        return (
-            se2.between(self.poses[old], self.poses[-1]),
-            position,
-            np.sqrt(np.maximum(covariance[:, 2, 2], 0.0)),
-        )
+        return position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 
     def _grid(self, number: int) -> SearchGrid:
-        if number not in self._grids:
-            self._grids[number] = search_grid(
-                self.maps[number].grid, self.maps[number].cell, _MOST_SHIFT
-            )
+        """The search grid of a chunk; the latest ones are kept."""
+        chunk, found = self.maps[number], self._grids.pop(number, None)
+        self._grids[number] = found or search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
+        if len(self._grids) > _MOST_SEARCHED:
+            del self._grids[next(iter(self._grids))]
         return self._grids[number]
+
+
+def _some_near(distance: FloatArray) -> IntArray:
+    """Those of the chunks at distances (k,), m, that are searched: of many, some of each distance.
+
+    Where a robot has been so often, the others show the same.
+    """
+    near = np.flatnonzero(distance <= _MOST_DISTANCE)
+    chosen = np.linspace(0, len(near) - 1, min(len(near), _MOST_SEARCHED)).astype(np.int64)
+    return np.sort(near[np.argsort(distance[near], kind="stable")[chosen]])
 
 
 def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> list[Loop]:

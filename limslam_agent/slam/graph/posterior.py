@@ -62,13 +62,19 @@ def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatAr
 
     The alignment removes what moves and turns all positions together: an orthogonal projection.
     """
+    basis = rigid_motions(positions)
+    half = covariance - basis @ (basis.T @ covariance)
+    return np.asarray(half - (half @ basis) @ basis.T)
+
+
+def rigid_motions(positions: FloatArray) -> FloatArray:
+    """An orthonormal basis (2 k, 3) of what moves and turns all positions (k, 2) together."""
     centred = positions - positions.mean(axis=0)
     rigid = np.zeros((2 * len(positions), 3))
     rigid[0::2, 0] = rigid[1::2, 1] = 1.0
     rigid[0::2, 2], rigid[1::2, 2] = -centred[:, 1], centred[:, 0]
     basis, _ = np.linalg.qr(rigid)
-    half = covariance - basis @ (basis.T @ covariance)
-    return np.asarray(half - (half @ basis) @ basis.T)
+    return np.asarray(basis)
 
 
 def odometry_ratios(

@@ -55,6 +55,7 @@ class Anchor:
     # pose, covariance: pose (3,) and covariance (3, 3) in the world
     pose: FloatArray
     covariance: FloatArray
+    since: FloatArray  # covariance (3, 3) of the motion since the last chunk, or since the start
     errors: FloatArray  # the constant errors (5,) of odometry that are known
 
 
@@ -92,8 +93,16 @@ class OnlineGraph:
         self.errors = OdometryErrors.unknown(self._config.motion)
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
         self._anchor = Anchor(
-            self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean
+            self._ridden,
+            self._variances,
+            self._start,
+            np.zeros((3, 3)),
+            np.zeros((3, 3)),
+            self.errors.mean,
         )
+        # Motion (3,) by odometry from the last chunk, or from the start, to the first event that is
+        # kept, and its covariance (3, 3); None while the middle of that chunk is kept
+        self._blind: tuple[FloatArray, FloatArray] | None = None
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
@@ -181,17 +190,34 @@ class OnlineGraph:
         frame = smooth_window(
             self._directed(), self.errors, self._config, min(1.0, maps.hop / driven)
         )
-        if frame is not None:
-            self.errors = frame.errors
-            pose, covariance = self._placed(frame)
-            self._waiting = Anchor(
-                self._ridden, self._variances, pose, covariance, self.errors.mean
-            )
+        if frame is None:
+            self._begin_anew()
+            return
+        self.errors = frame.errors
+        self._waiting = self._placed(frame)
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
             recent.forget_before(
                 min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0])
             )
+
+    def _begin_anew(self) -> None:
+        """Forget all events but the last one: no beam has seen anything in the window.
+
+        Odometry alone tells the motion since the last chunk.
+        """
+        chunk = self._start if self.places is None else self.places.poses[-1]
+        before, motion = (
+            between(chunk, self._anchor.pose),
+            between(self._anchor.ridden, self._ridden),
+        )
+        own = np.diag(self._variances - self._anchor.variances)
+        covariance = moved_covariance(before, self._anchor.since, motion, own)
+        self._blind = compose(before, motion), covariance
+        self._middles = [self._recent.last]
+        self._recent.forget_before(self._recent.last)
+        # The next chunk lies behind this event as a whole.
+        self._job_at = self._recent.travel + 2.0 * self._config.maps.half
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -205,17 +231,15 @@ class OnlineGraph:
             self._proofs += is_proof
             self._reversed.append((recent.first + begin, recent.first + end))
         self._last_job = recent.last
+        self._reversed = [each for each in self._reversed if each[0] >= recent.first]
         if self._proofs >= reversing.fewest:
             for begin, end in self._reversed:
-                if begin >= recent.first:
-                    recent.turn_round(begin, end)
+                recent.turn_round(begin, end)
             self._reversed.clear()
         return recent.data(self._log)
 
-    def _placed(self, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
-        """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been
-        added.
-        """
+    def _placed(self, frame: LocalFrame) -> Anchor:
+        """The last event of the window, after its chunk has been added."""
         recent, maps = self._recent, self._config.maps
         last = len(frame.keys) - 1
         if recent.travel >= 2.0 * maps.half:
@@ -225,12 +249,19 @@ class OnlineGraph:
             key, pose, covariance = 0, self._start, np.zeros((3, 3))
         else:
             pose = self.places.poses[-1]
-            covariance = self.places.covariance[-3:, -3:] + _turned(
+            covariance = self.places.last_covariance + _turned(
                 self._first_covariance, pose - self.places.poses[0]
             )
         motion = between(frame.trajectory.poses[key], frame.poses[-1])
         own = inflated(frame.covariances(np.array([key, last])))[0]
-        return compose(pose, motion), moved_covariance(pose, covariance, motion, own)
+        return Anchor(
+            self._ridden,
+            self._variances,
+            compose(pose, motion),
+            moved_covariance(pose, covariance, motion, own),
+            own,
+            self.errors.mean,
+        )
 
     def _add_chunk(self, frame: LocalFrame, key: int) -> None:
         """Add the chunk around a key pose of the window to the graph."""
@@ -244,6 +275,10 @@ class OnlineGraph:
         own = inflated(frame.covariances(np.array([frame.keys.event_key[before[-1]], key])))[0]
         path = np.vstack((frame.poses[before], pose))
         motions = between(path[:-1], path[1:])
+        if self._blind is not None:
+            motion, covariance = self._blind
+            own = moved_covariance(motion, covariance, motions[0], own)
+            motions, self._blind, self._middles = compose(motion, motions), None, []
         if self.places is None:
             self._first_covariance = moved_covariance(
                 self._start, np.zeros((3, 3)), motions[-1], own

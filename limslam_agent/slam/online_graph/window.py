@@ -9,6 +9,7 @@ with the share of driving that is new in it, and the sum is the prior of the nex
 import math
 from bisect import bisect_left
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, Smoothi
 from limslam_agent.slam.graph.key_poses import (
     APART,
     ERRORS,
+    KEY_DISTANCE,
+    KEY_TURN,
     KeyPoses,
     LogData,
     Trajectory,
@@ -33,11 +36,17 @@ from limslam_agent.slam.graph.smoothing import (
 )
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import between
+from limslam_env.geometry.se2 import between, compose
 
 _ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
 """Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is
 short.
+"""
+
+
+_CROWD = 500
+"""Number of events near one place that are kept. Each further one takes the place of the last one:
+a robot that stands or creeps sees nothing new.
 """
 
 
@@ -52,11 +61,15 @@ class RecentEvents:
     travel, turned, backwards
         Distance driven, m, with ``APART`` for each break of odometry, angle turned, rad, and
         distance driven backwards, m, by odometry up to the last event.
+    last_motion
+        Motion (3,) by odometry from the event before to the last event.
     """
 
     def __init__(self) -> None:
         self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
         self._odometry: FloatArray | None = None
+        self.last_motion = np.zeros(3)
+        self._place, self._crowd = (0.0, 0.0), 0  # travel and turn of a place, and its events
         self._times, self._travels = list[float](), list[float]()
         self._breaks = dict[int, FloatArray]()
         self._moves, self._ranges, self._hits = (
@@ -89,6 +102,15 @@ class RecentEvents:
             self.travel += APART
         self.turned += abs(float(move[2]))
         self.backwards -= min(float(move[0]), 0.0)
+        self.last_motion = move
+        travel, turned = self._place
+        if self.travel - travel >= KEY_DISTANCE or self.turned - turned >= KEY_TURN:
+            self._place, self._crowd = (self.travel, self.turned), 0
+        self._crowd += 1
+        if self._crowd > _CROWD:
+            move = compose(self._moves[-1], move)
+            for events in self._kept:
+                del events[-1:]
         self._times.append(time)
         self._travels.append(self.travel)
         for events, each in ((self._moves, move), (self._ranges, ranges), (self._hits, hit)):
@@ -105,15 +127,15 @@ class RecentEvents:
     def forget_before(self, event: int) -> None:
         """Forget the events before an event."""
         old = slice(0, event - self.first)
-        for events in (self._times, self._travels, self._moves, self._ranges, self._hits):
+        for events in self._kept:
             del events[old]
         self.first = event
         self._breaks = {row: stds for row, stds in self._breaks.items() if row > event}
 
     @property
-    def last_motion(self) -> FloatArray:
-        """Motion (3,) by odometry from the event before to the last event."""
-        return self._moves[-1]
+    def _kept(self) -> tuple[list[Any], ...]:
+        """What is kept of each event."""
+        return self._times, self._travels, self._moves, self._ranges, self._hits
 
     def turn_round(self, begin: int, end: int) -> None:
         """Take the motions between two events as driven backwards."""

@@ -14,7 +14,7 @@ from limslam_agent import LineSlam, Mapper, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.recovery import Recovery
-from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory
+from limslam_agent.places.revisions import BEGUN_ANEW, GIVEN_UP, NOT_CONFIRMED, PlaceHistory
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import final_status, score, write_episode
 from limslam_agent.runs.run_config import RunConfig
@@ -210,6 +210,53 @@ def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode,
     assert revision.begin == 20
     mapper.finish()
     assert mapper.places.unplaced is None
+
+
+def standing(mapper, ranges, steps):
+    """A robot that stands reads the same again."""
+    for _ in range(steps):
+        mapper.step({"ranges": ranges, "wheels": np.zeros(2)})
+
+
+def test_a_robot_that_is_lost_for_long_keeps_its_latest_map(episode, monkeypatch):
+    monkeypatch.setattr("limslam_agent.mapping.mapper.RESTART_WITHIN", 0)
+    monkeypatch.setattr("limslam_agent.places.recovery.LONGEST_ABSENCE", 1000)
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    for number in range(400):
+        wheels = episode.wheels[number, 0] + (2.0 if number == 390 else 0.0)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    assert mapper.statuses[0].level == "lost"
+    lost_in, frame = mapper.map_number, mapper.frame
+    standing(mapper, episode.ranges[399, 0], 1000)
+    assert [event["event"] for event in mapper.places.records] == ["lost", "given up"]
+    assert mapper.statuses[0] == mapper.places.doubt == Status("unsure", GIVEN_UP)
+    assert (mapper.map_number, mapper.frame) == (lost_in, frame)
+    assert mapper.covariances[0, 0, 0] > 1.0, "the jump may be wrong"
+    # A robot that is lost again comes back to the map that it has now.
+    mapper.step({"ranges": episode.ranges[399, 0], "wheels": np.full(2, 2.0)})
+    assert mapper.places.records[-2]["event"] == "lost"
+    mapper.finish()
+    assert mapper.places.unplaced is None
+
+
+def test_a_robot_whose_place_is_not_confirmed_for_long_stays_there(episode, monkeypatch):
+    monkeypatch.setattr("limslam_agent.places.recovery.LONGEST_ABSENCE", 1000)
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    for number in range(len(episode.ranges)):
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
+        if mapper.statuses[0] == Status("unsure", NOT_CONFIRMED):
+            break
+    pose, events = mapper.poses[0], [event["event"] for event in mapper.places.records]
+    assert events[-1] == "found"
+    standing(mapper, episode.ranges[number, 0], 1200)
+    assert [event["event"] for event in mapper.places.records] == events
+    assert mapper.statuses[0] == Status("unsure", NOT_CONFIRMED)
+    np.testing.assert_allclose(mapper.poses[0], pose, atol=0.05)
+    # The place can still be confirmed or refuted.
+    for later in range(number + 1, len(episode.ranges)):
+        mapper.step({"ranges": episode.ranges[later, 0], "wheels": episode.wheels[later, 0]})
+    assert errors(mapper.poses[None], episode.true[later][None])[0] < 0.4
+    assert mapper.statuses[0].level != "lost"
 
 
 def test_a_robot_that_is_carried_while_it_is_lost_may_have_been_carried_before_that():

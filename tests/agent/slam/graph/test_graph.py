@@ -15,7 +15,6 @@ from limslam_agent.slam.graph.chunk_graph import (
     ChunkGraph,
     Hops,
     Loop,
-    joint_covariance,
     solve_annealed,
 )
 from limslam_agent.slam.graph.key_poses import (
@@ -496,18 +495,24 @@ def test_wrong_loops_lose_their_weight(truth):
     assert worst(with_wrong, without) < 0.5
 
 
+def blank_map(number):
+    return LocalMap(2.5 * number, np.zeros((0, 2)), np.zeros((2, 2), np.int8), 0.1)
+
+
 def test_covariance_of_a_chain_is_that_of_compounded_motions():
     truth = ring(laps=1)[:4]
     hops = drifting(truth, bias=0.0)
     poses, _ = solve_annealed(truth[0], hops, [])
-    joint = joint_covariance(poses, hops, [])
+    graph = ChunkGraph(blank_map(0), poses[0])
+    for row in range(3):
+        graph.add(blank_map(row + 1), hops.motions[row : row + 1], hops.covariances[row])
     covariance = np.zeros((3, 3))
     for row in range(3):
         by_pose, by_motion = se2.compose_jacobians(poses[row], hops.motions[row])
         covariance = (
             by_pose @ covariance @ by_pose.T + by_motion @ hops.covariances[row] @ by_motion.T
         )
-    assert np.allclose(joint[9:, 9:], covariance, atol=1e-6)
+    assert np.allclose(graph.last_covariance, covariance, atol=1e-6)
 
 
 def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
@@ -523,15 +528,18 @@ def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     truth = ring(laps=6)
     hops = drifting(truth, bias=0.0)
-    blank = [
-        LocalMap(2.5 * n, np.zeros((0, 2)), np.zeros((2, 2), np.int8), 0.1)
-        for n in range(len(truth))
-    ]
+    blank = [blank_map(number) for number in range(len(truth))]
     graph = ChunkGraph(blank[0], truth[0])
     for newest in range(1, len(truth)):
         graph.add(blank[newest], hops.motions[newest - 1 : newest], hops.covariances[newest - 1])
         graph.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
-    covariance = graph.covariance
+    every = pose_columns(np.arange(len(truth))).reshape(1, -1)
+    covariance = graph.covariances(every, np.eye(every.size)[None])[0]
+    last = covariance[-3:, -3:]
+    assert np.allclose(graph.last_covariance, last, atol=1e-12)
+    positions = np.delete(np.arange(every.size), np.s_[2::3])
+    aligned = aligned_covariance(covariance[np.ix_(positions, positions)], graph.poses[:, :2])
+    assert graph.position_std == pytest.approx(np.sqrt(np.trace(aligned[-2:, -2:])))
     assert np.allclose(covariance, covariance.T, atol=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
 

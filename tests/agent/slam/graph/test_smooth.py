@@ -286,6 +286,44 @@ def test_a_place_is_recognised_and_the_pose_jumps_there(lap):
     assert graph.position_std < 1.0
 
 
+@pytest.mark.parametrize("blind", [slice(0, 150), slice(150, 420)])
+def test_where_nothing_is_seen_the_graph_goes_on_by_odometry(blind):
+    data, truth = corridor_log(laps=2, bias=0.0)
+    hit = data.hit.copy()
+    hit[blind] = False
+    graph, poses, covariances, _, _ = driven(replace(data, hit=hit), truth[0], len(data.time))
+    off = np.hypot(*(poses - truth)[:, :2].T)
+    assert off.max() < 1.5
+    assert off[-1] < 0.6
+    # The motion that only odometry tells is part of the chain of chunks, with its uncertainty.
+    assert covariances[blind.stop - 1, :2, :2].trace() > covariances[blind.start, :2, :2].trace()
+    travel = [chunk.travel for chunk in graph.places.maps]
+    driven_blind = np.hypot(*np.diff(truth[blind, :2], axis=0).T).sum()
+    assert np.diff(travel, prepend=0.0).max() == pytest.approx(driven_blind, abs=12.0)
+    longest = int(np.argmax(np.diff(travel))) if blind.start else 0
+    variances = graph.places.hops.covariances[:, :2, :2].trace(axis1=1, axis2=2)
+    assert not blind.start or variances.argmax() == longest
+
+
+def test_a_robot_that_stands_for_long_goes_on_as_before():
+    data, truth = corridor_log(laps=1, bias=0.0)
+    stand, count = 100, len(data.time)
+    rows = np.concatenate((np.arange(stand), np.full(2000, stand), np.arange(stand, count)))
+    standing = replace(
+        data,
+        time=0.4 * np.arange(len(rows)),
+        odometry=data.odometry[rows],
+        ranges=data.ranges[rows],
+        hit=data.hit[rows],
+    )
+    graph, poses, _, _, _ = driven(standing, truth[0], len(rows))
+    np.testing.assert_allclose(
+        poses[stand : stand + 2000], poses[stand + 2000][None].repeat(2000, 0)
+    )
+    assert np.hypot(*(poses[-1] - truth[-1])[:2]) < 0.5
+    assert graph.places is not None
+
+
 def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
     data, truth = corridor_log(laps=1, bias=BIAS)
     count, lost = 150, 90
