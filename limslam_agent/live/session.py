@@ -60,6 +60,7 @@ class Wired:
     )  # Called with the session after each decision
     # Called with the session before each decision, and again and again while the robot is silent
     obey: Callable[["Session"], None] = lambda _: None
+    hint: str = ""  # What to say beside the place while nobody has answered
 
 
 class Session:

@@ -17,7 +17,6 @@ from limslam_agent import read_log, replay_log
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, checksum, decode
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
-from limslam_agent.live.transports import UdpTransport
 from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry import se2
 
@@ -359,6 +358,9 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
             "--serial and --udp are different places: the robot is at one of them only",
         ),
         (("--udp", 0, "--policy", "tour"), "the policy 'tour' knows the truth"),
+        (("--udp", 0, "--listen", "localhost"), "'localhost' is not an IPv4 address"),
+        (("--udp", 0, "--token", "two words"), "the token 'two words' is not a name of 1 to 24"),
+        (("--serial", "x", "--token", "word"), "--listen and --token are for --udp"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
         (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),
@@ -405,26 +407,19 @@ def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_second_robot_does_not_take_the_place_of_the_first():
-    transport = UdpTransport(0)
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    try:
-        for robot in sockets:
-            robot.settimeout(5.0)
-            robot.sendto(b"H,1\n", ("127.0.0.1", transport.port))
-        lines = []
-        while not lines:
-            lines += transport.receive(1.0)
-        assert lines == [b"H,1"]
-        transport.send(b"X,1\n")
-        assert sockets[0].recv(100) == b"X,1\n"
-        sockets[1].settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            sockets[1].recv(100)
-    finally:
-        transport.close()
-        for robot in sockets:
-            robot.close()
+def test_a_robot_is_driven_only_if_it_says_the_token(emulator, tmp_path):
+    port, folder = free_port(), tmp_path / "room"
+    told = ("--preset", "consistent", "--max-time", 3, "--token", "our-word", "--out", folder)
+    emulator("--udp", port)
+    refused = limslam("live", "--udp", port, *told, "--patience", 3)
+    assert refused.returncode == 2
+    line = "limslam: warning: the robot paper at 127.0.0.1 is not driven: it has not said the token"
+    assert refused.stderr.count(line) == 1
+    emulator("--udp", port, "--token", "our-word")
+    driven = limslam("live", "--udp", port, *told)
+    assert driven.returncode == 0, driven.stderr
+    assert json.loads((folder / "result.json").read_text())["metrics"]["packets"] >= 30
+    assert all("our-word" not in path.read_text("latin-1") for path in folder.iterdir())
 
 
 def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_path):
