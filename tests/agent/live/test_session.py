@@ -1,6 +1,8 @@
 """Sessions with a live robot: in this process, and as the command with a robot in another one."""
 
 import json
+import os
+import select
 import socket
 import subprocess
 import sys
@@ -464,6 +466,51 @@ def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
     # The robot has obeyed the stop, and has said so, before the session ended.
     assert np.abs(log.wheels[20:35]).min() > 0.0
     assert log.wheels[-1].tolist() == [0.0, 0.0]
+
+
+IN_A_TERMINAL = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, "-m", "limslam_agent", *sys.argv[1:]])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGHUP")
+def test_a_terminal_that_is_closed_stops_the_robot_and_keeps_its_whole_log(emulator, tmp_path):
+    port, policy, sign = free_port(), tmp_path / "mine.py", tmp_path / "sign"
+    policy.write_text(
+        "from pathlib import Path\nimport numpy as np\n"
+        "class Drives:\n"
+        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
+        "    def act(self, belief):\n"
+        "        self.count += 1\n"
+        "        if self.count == 40:\n"
+        f"            Path({str(sign)!r}).touch()\n"
+        "        return np.array([0.3, 0.25])\n"
+    )
+    emulator("--udp", port)
+    ours, its = os.openpty()
+    told = ("--policy", f"{policy}:Drives", "--preset", "consistent", "--out", tmp_path / "room")
+    command = [sys.executable, "-c", IN_A_TERMINAL, "live", "--udp", port, *told]
+    process = subprocess.Popen(
+        [*map(str, command)], stdin=its, stdout=its, stderr=its, start_new_session=True
+    )
+    os.close(its)
+    until_closed(ours, sign)
+    assert process.wait(60) == 129
+    log = read_log(tmp_path / "room-log.npz")
+    assert len(log) >= 40
+    assert np.abs(log.wheels[20:35]).min() > 0.0
+    assert log.wheels[-1].tolist() == [0.0, 0.0]
+    assert not (tmp_path / "room").exists()
+
+
+def until_closed(terminal, sign):
+    """Read what a program writes to a terminal until a file is there, and close the terminal."""
+    while not sign.exists():
+        if select.select([terminal], [], [], 0.02)[0]:
+            os.read(terminal, 10_000)
+    os.close(terminal)
 
 
 @pytest.mark.parametrize("told", [("--udp", "99999"), ("--ros2", "--imu")])
