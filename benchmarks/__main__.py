@@ -5,7 +5,6 @@ What takes long to import is imported inside the commands, so that help comes at
 """
 
 import os
-import signal
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from limslam_agent.cli.terminal import run_command
+from limslam_agent.endings import end_cleanly
 
 if TYPE_CHECKING:
     from benchmarks.suite.runner import Summary
@@ -208,7 +208,7 @@ def main() -> None:
     """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130
     stopped.
     """
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    end_cleanly()
     goes_on = next(iter(sys.argv[1:]), "") in _GO_ON
     run_command(
         app,

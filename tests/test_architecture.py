@@ -84,6 +84,7 @@ AGENT = {
     "limslam_agent.dropouts": {*WHAT_AN_AGENT_MAY_KNOW, *agent("kernels")},
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
+    "limslam_agent.endings": set(),
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
@@ -194,7 +195,7 @@ AGENT = {
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "logs", "mapping", "output", "policies", "replay"),
+        *agent("config", "endings", "logs", "mapping", "output", "policies", "replay"),
     },
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW,

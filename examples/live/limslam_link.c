@@ -177,6 +177,10 @@ static void put_hello(struct writer *out, const struct limslam_hello *hello) {
     put_number(out, hello->nm_per_tick);
     put_number(out, hello->period_ms);
     put_number(out, hello->watchdog_ms);
+    if (hello->token) {
+        put(out, ',');
+        put_text(out, hello->token);
+    }
     end_line(out, begin);
 }
 

@@ -38,6 +38,7 @@ struct limslam_hello {
     uint32_t nm_per_tick; /* wheel travel for each tick, nm */
     uint16_t period_ms;   /* time between two telemetry lines */
     uint16_t watchdog_ms; /* time without a line after which the wheels stop */
+    const char *token;    /* the word of `limslam live --token`, written like a name, or NULL */
 };
 
 /* The state of the connection. limslam_start sets it; read has_host, and leave the rest alone. */

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.protocol import Hello
     from limslam_agent.live.session import Session, Wired
+    from limslam_agent.live.transports import Transport
     from limslam_agent.mapping.team import LimSlamAgent
     from limslam_env.interface import RobotSpec
 
@@ -49,6 +50,8 @@ def live(
         raise ValueError(f"{named} are different places: the robot is at one of them only")
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
+    if options.udp is None and (options.token or options.listen != LiveOptions.listen):
+        raise ValueError("--listen and --token are for --udp: no other robot is in a network")
     agent = exploring_agent(given, options)
     check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
@@ -69,7 +72,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
 
     target = options.out or Path("runs") / "live"
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
-        typer.echo(f"waiting     for a robot {wired.place}", err=True)
+        typer.echo(f"waiting     for a robot {wired.place}{wired.hint}", err=True)
         hello = wired.link.first_hello(options.patience)
         recording = Recording(wired.robot(hello), hello)
         _warn_about(hello)
@@ -107,14 +110,30 @@ def _wired(
         return
     from limslam_agent.live.link import Link
     from limslam_agent.live.session import Wired
-    from limslam_agent.live.transports import SerialTransport, UdpTransport
+    from limslam_agent.live.transports import SerialTransport
 
-    port = options.serial
-    with closing(
-        UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)
-    ) as transport:
-        place = f"at {port or f'UDP port {options.udp}'}"
-        yield Wired(Link(transport), place, lambda hello: _robot_of(hello, described))
+    hint = ""
+    if options.serial is not None:
+        place = f"at {options.serial}"
+        transport: Transport = SerialTransport(options.serial, options.baud)
+    else:
+        place = f"at UDP port {options.udp} of {options.listen}"
+        transport = _udp_transport(options)
+        if options.listen == LiveOptions.listen:
+            hint = " (this computer; --listen 0.0.0.0 hears its networks too)"
+    with closing(transport):
+        yield Wired(Link(transport), place, lambda hello: _robot_of(hello, described), hint=hint)
+
+
+def _udp_transport(options: LiveOptions) -> "Transport":
+    from limslam_agent.live.transports import UdpTransport
+
+    transport = UdpTransport(
+        options.udp or 0, options.listen, options.token, lambda line: warn([line])
+    )
+    if options.listen != LiveOptions.listen and options.token is None:
+        warn(["anybody in the network can say that it is the robot: --token keeps others out"])
+    return transport
 
 
 def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":

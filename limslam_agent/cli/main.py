@@ -5,8 +5,6 @@ Modules that take long to import are imported inside the commands, so that help 
 
 import gc
 import os
-import signal
-import sys
 from typing import Annotated
 
 import typer
@@ -21,6 +19,7 @@ from limslam_agent.cli.show import compare, export, show
 from limslam_agent.cli.terminal import run_command
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
+from limslam_agent.endings import end_cleanly
 
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads of linear algebra. Each is read once, when numpy or scipy is loaded."""
@@ -88,9 +87,7 @@ def main() -> None:
     """
     _use_one_thread()
     collect_rarely()
-    # A termination runs the clean-up code as any other end does, so that no half-written folder is
-    # left.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    end_cleanly()  # so that no half-written folder is left, and no robot without a stop
     run_command(app, "limslam", numbers=True)
 
 

@@ -377,6 +377,17 @@ class LiveOptions(Bounded):
     ] = None
     baud: Annotated[int, Bounds(300, 10**7)] = 115200
     udp: Annotated[int | None, told(_CONNECTION, "UDP port on which to wait for the robot.")] = None
+    listen: Annotated[
+        str,
+        told(
+            _CONNECTION,
+            "Address of this computer where --udp listens. 0.0.0.0 hears robots in its networks.",
+        ),
+    ] = "127.0.0.1"
+    token: Annotated[
+        str | None,
+        told(_CONNECTION, "With --udp, drive only a robot that says this word in its hello."),
+    ] = None
     ros2: Annotated[
         bool, told(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.")
     ] = False

@@ -1,6 +1,8 @@
 """``limslam run``: a simulated run, and its folder."""
 
 import re
+import shutil
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +14,7 @@ from limslam_agent.cli import options as take
 from limslam_agent.cli.options import RunOptions, takes
 from limslam_agent.cli.settings import Given, run_config, run_options, write_run_settings
 from limslam_agent.cli.terminal import Advance, progress_bar, say, warn
+from limslam_agent.endings import code_of, exit_code, noted_endings
 
 if TYPE_CHECKING:
     from limslam_agent.mapping.team import LimSlamTeam
@@ -41,7 +44,6 @@ def carry_out(given: Given, options: RunOptions) -> None:
     """Run what was asked for, write its folder, and print its summary."""
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, run_summary
-    from limslam_agent.runs.results import write_episode
 
     config = run_config(given, options)
     options = replace(options, max_time=config.max_time)
@@ -52,15 +54,37 @@ def carry_out(given: Given, options: RunOptions) -> None:
         new_folder(target, force=options.force, numbered=options.out is None) as folder,
         progress_bar(task, total) as advance,
     ):
-        episode = _shown_run(config, advance, options)
-        if config.agent.run_smoothing is not None:
+        with noted_endings() as noted:
+            episode = _shown_run(config, advance, options, lambda: bool(noted))
+        if config.agent.run_smoothing is not None and not noted:
             advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
-        result = write_episode(folder.beside, episode)
+        result, code = _written(folder.beside, episode, noted)
         write_run_settings(folder.beside, options, config)
     say(*record_summary(result), *run_summary(result["metrics"], result["cost"]))
     if options.video is not None:
         say(f"video       {options.video}")
     say(f"results     {folder.target}")
+    raise typer.Exit(code)
+
+
+def _written(folder: Path, episode: "Episode", noted: list[int]) -> tuple[dict[str, Any], int]:
+    """Write the results of a run. The content of ``result.json``, and the exit code.
+
+    What takes long is left out if a signal to end was noted, and broken off if one comes.
+    """
+    from limslam_agent.runs.results import write_episode
+
+    if not noted:
+        try:
+            return write_episode(folder, episode), 0
+        except (KeyboardInterrupt, SystemExit) as ending:
+            code = code_of(ending)
+        shutil.rmtree(folder)
+        folder.mkdir()
+    else:
+        code = exit_code(noted[0])
+    say("limslam: interrupted: writing what there is; Ctrl-C again ends at once", err=True)
+    return write_episode(folder, episode.interrupted()), code
 
 
 def _folder_name(config: "RunConfig") -> str:
@@ -76,7 +100,9 @@ def _folder_name(config: "RunConfig") -> str:
     )
 
 
-def _shown_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
+def _shown_run(
+    config: "RunConfig", advance: Advance, options: RunOptions, is_interrupted: Callable[[], bool]
+) -> "Episode":
     """Run, and show the run in a film and in a browser where that was asked for. Both show the same
     recording.
     """
@@ -111,7 +137,8 @@ def _shown_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "E
                 if film is not None:
                     film.watch(recorder, team, env, time, coverage)
 
-        episode = run_episode(config, show, render_mode=None if film is None else "rgb_array")
+        render_mode = None if film is None else "rgb_array"
+        episode = run_episode(config, show, render_mode=render_mode, is_interrupted=is_interrupted)
         if follower is not None:
             follower.end()
         return episode

@@ -58,6 +58,8 @@ class Hello:
     period_ms: _Amount  # time between two telemetry lines, ms
     # time without a line from the host after which the robot stops its wheels, ms
     watchdog_ms: _Amount
+    # From version 2 on, what a host in a network knows its robots by: letters as in a name, or None
+    token: str | None = None
 
 
 @dataclass(frozen=True)
@@ -133,10 +135,14 @@ _KINDS: dict[str, type[Message]] = {
 }
 _LETTERS = {kind: letter for letter, kind in _KINDS.items()}
 _FIELDS = {
-    kind: [field.name for field in fields(kind) if field.name not in {"ranges", "yaw"}]
+    kind: [field.name for field in fields(kind) if field.name not in {"ranges", "yaw", "token"}]
     for kind in _LETTERS
 }
 _WITH_HEADING = "T"
+_WORDS = {"name", "token"}
+
+NAME_RULE = "a name of 1 to 24 letters, digits, '_', '.' or '-'"
+"""What a robot may be called, and what a token may be, in words."""
 
 
 def encode(message: Message) -> bytes:
@@ -151,6 +157,8 @@ def encode(message: Message) -> bytes:
             words[0] = _WITH_HEADING
             words.append(str(message.yaw))
         words += [NO_READING if each is None else str(each) for each in message.ranges]
+    if isinstance(message, Hello) and message.token is not None:
+        words.append(message.token)
     _read(kind, words[1:], has_heading=has_heading)
     body = ",".join(words).encode("ascii")
     return b"%s*%04X\n" % (body, checksum(body))
@@ -175,6 +183,8 @@ def decode(line: bytes) -> Message:
 def _read(kind: type[Message], words: list[str], *, has_heading: bool = False) -> Message:
     """The message of a kind from the words of its line."""
     names = [*_FIELDS[kind], "yaw"] if has_heading else _FIELDS[kind]
+    if kind is Hello and len(words) > len(names) and words[0] != str(OLDEST):
+        names = [*names, "token"]
     count = len(words) - len(names)
     if not (1 <= count <= MAX_BEAMS if kind is Telemetry else count == 0):
         raise BadLineError(
@@ -183,16 +193,15 @@ def _read(kind: type[Message], words: list[str], *, has_heading: bool = False) -
         )
     given = zip(names, words, strict=False)
     values: dict[str, Any] = {
-        name: word if name == "name" else _number(word) for name, word in given
+        name: word if name in _WORDS else _number(word) for name, word in given
     }
     if kind is Telemetry:
         values["ranges"] = tuple(
             None if word == NO_READING else _number(word) for word in words[len(names) :]
         )
-    if not _NAME.fullmatch(values.get("name", "robot")):
-        raise BadLineError(
-            f"{values['name']!r} is not a name of 1 to 24 letters, digits, '_', '.' or '-'"
-        )
+    for name in _WORDS & values.keys():
+        if not is_name(values[name]):
+            raise BadLineError(f"{values[name]!r} is not {NAME_RULE}")
     if any(each is not None and not 0 <= each <= NOTHING_SEEN for each in values.get("ranges", ())):
         raise BadLineError(f"a range is not a number from 0 to {NOTHING_SEEN}")
     if abs(values.get("yaw", 0)) >= _SPAN // 2:
@@ -209,6 +218,11 @@ def _number(word: str) -> int:
     if not _NUMBER.fullmatch(word):
         raise BadLineError(f"{word!r} is not a whole number")
     return int(word)
+
+
+def is_name(word: str) -> bool:
+    """Whether a word may be the name of a robot, or a token."""
+    return _NAME.fullmatch(word) is not None
 
 
 def checksum(body: bytes) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.endings import end_by, noted_endings
 from limslam_agent.live.link import POLL, Connection
 from limslam_agent.live.protocol import (
     Command,
@@ -60,6 +61,7 @@ class Wired:
     )  # Called with the session after each decision
     # Called with the session before each decision, and again and again while the robot is silent
     obey: Callable[["Session"], None] = lambda _: None
+    hint: str = ""  # What to say beside the place while nobody has answered
 
 
 class Session:
@@ -117,7 +119,10 @@ class Session:
         except KeyboardInterrupt:
             reason = BY_HAND
         finally:
-            self._stop_wheels()
+            with noted_endings() as noted:  # nothing comes between a robot and its stop
+                self._stop_wheels()
+        for number in noted:
+            end_by(number)
         return reason
 
     @property

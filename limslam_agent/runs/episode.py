@@ -34,6 +34,7 @@ from limslam_env.worlds.regions import start_region
 from limslam_env.worlds.world import World, WorldError
 
 OUT_OF_TIME = "time: the run's longest time is over"
+INTERRUPTED = "interrupted: somebody has ended the run"
 
 LEAST_MOVE = 2.0
 """Least distance to which a robot is carried, m."""
@@ -54,6 +55,7 @@ def run_episode(
     render_mode: str | None = None,
     policies: Sequence[Policy] | None = None,
     alter: Callable[[Observation, float], Observation] | None = None,
+    is_interrupted: Callable[[], bool] = lambda: False,
 ) -> Episode:
     """Run the robots and record what happens.
 
@@ -70,9 +72,11 @@ def run_episode(
     alter
         Makes of each observation and its time (s) the observation that the agent gets and that is
         recorded: a fault.
+    is_interrupted
+        Asked after each step. If it is true, the run ends there.
     """
     with naming_lines_of(config.policy):
-        return _episode(config, watch, render_mode, policies, alter)
+        return _episode(config, watch, render_mode, policies, alter, is_interrupted)
 
 
 def _episode(
@@ -81,6 +85,7 @@ def _episode(
     render_mode: str | None,
     policies: Sequence[Policy] | None,
     alter: Callable[[Observation, float], Observation] | None,
+    is_interrupted: Callable[[], bool],
 ) -> Episode:
     world = load_world(config.world)
     env = LimSlamParallelEnv(
@@ -95,7 +100,7 @@ def _episode(
     )
     team = team_of(config, policies_of(config, world) if policies is None else policies)
     clock = time.perf_counter()
-    rows = _drive(config, env, team, watch, alter)
+    rows = _drive(config, env, team, watch, alter, is_interrupted)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     return Episode(
         config=config,
@@ -107,7 +112,7 @@ def _episode(
         in_prior_map=team.mapper.prior_frame is not None,
         snapshot=team.snapshot(),
         coverage_grid=env.coverage_grid,
-        stop_reason=_stop_reason(config, world, team.stop_reason),
+        stop_reason=_stop_reason(config, world, team.stop_reason, len(rows)),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         is_joined=not team.mapper.is_apart,
@@ -156,10 +161,10 @@ def told_starts(config: RunConfig, true: FloatArray) -> FloatArray:
     return told
 
 
-def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
+def _stop_reason(config: RunConfig, world: World, reason: str | None, steps: int) -> str:
     """Why the run ended. A small region of a world that is explored is not the world."""
     if reason is None:
-        return OUT_OF_TIME
+        return OUT_OF_TIME if steps > _most_steps(config) else INTERRUPTED
     region = start_region(world, config.robot.radius)
     if not (reason.startswith("explored") and region.is_small):
         return reason
@@ -168,6 +173,10 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
         "be reached from it: "
         f"{NOT_EXPLORED}"
     )
+
+
+def _most_steps(config: RunConfig) -> int:
+    return round(config.max_time / config.robot.control_period)
 
 
 def _in_one_frame(columns: dict[str, Any], mapper: Mapper) -> dict[str, Any]:
@@ -196,8 +205,9 @@ def _drive(
     team: LimSlamTeam,
     watch: Watcher | None,
     alter: Callable[[Observation, float], Observation] | None,
+    is_interrupted: Callable[[], bool],
 ) -> list[_Row]:
-    """Step the robots until the team is done or the time is over."""
+    """Step the robots until the team is done, the time is over, or the run is interrupted."""
     observed, infos = env.reset(seed=config.seed)
     starts = told_starts(config, np.array([infos[name]["pose"] for name in team.names]))
     team.reset(starts, config.seed)
@@ -205,7 +215,7 @@ def _drive(
         if isinstance(policy, ActorPolicy):
             policy.reset(start, config.seed)
     rows: list[_Row] = []
-    max_steps = round(config.max_time / config.robot.control_period)
+    max_steps = _most_steps(config)
     kidnapped_at = (
         None if config.kidnap_at is None else round(config.kidnap_at / config.robot.control_period)
     )
@@ -217,7 +227,7 @@ def _drive(
         rows.append(row)
         if watch is not None:
             watch(team, env, row["time"], row["coverage"])
-        if team.done or len(rows) > max_steps:
+        if team.done or len(rows) > max_steps or is_interrupted():
             team.finish()
             return rows
         if len(rows) == kidnapped_at:

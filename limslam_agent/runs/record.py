@@ -2,7 +2,7 @@
 from it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -88,6 +88,8 @@ class Episode:
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
+    # Whether somebody has ended the run, or what follows it, which is left out where it takes long
+    is_interrupted: bool = False
     is_joined: bool = True  # whether the robots share a frame at the end
     # How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing
     # of the kind.
@@ -95,6 +97,10 @@ class Episode:
     # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the
     # SLAM takes it at the end; None if it takes no beam to be turned
     beam_turns: FloatArray | None = None
+
+    def interrupted(self) -> "Episode":
+        """The same after somebody has ended the run, or what follows it."""
+        return replace(self, is_interrupted=True)
 
     @property
     def claims_explored(self) -> bool:
@@ -124,11 +130,13 @@ class Episode:
     @cached_property
     def smoothed(self) -> "SmoothedRun | None":
         """All poses and walls by what was known at the end. None if the settings do not ask for it,
-        or if there is nothing to smooth.
+        if there is nothing to smooth, or if the run was interrupted.
 
         Only the associations of the consistent estimator can be smoothed.
         """
         agent, settings = self.config.agent, self.config.agent.run_smoothing
+        if self.is_interrupted:
+            return None
         # The smoother does not know the lines of an earlier map.
         if settings is None or self.in_prior_map or self.placed_robots < self.config.robots:
             return None

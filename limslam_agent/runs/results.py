@@ -104,7 +104,8 @@ def score(episode: Episode) -> dict[str, Any]:
     known, online = episode.placed_steps, None if episode.smoothed is None else episode.online_map
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = over_robots(trajectory_scores, *(rows[:, placed] for rows in columns))
-    limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
+    has_limit = config.limit and not episode.is_interrupted
+    limit = offline_optimum_scores(episode, trajectory["ate_m"]) if has_limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
     has_explored = episode.claims_explored and not config.laps and config.policy != TOUR
     walls = map_scores(
@@ -327,6 +328,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
     _draw(folder / "map.png", episode)
     result = {
+        "status": "interrupted" if episode.is_interrupted else "finished",
         "metrics": score(episode),
         "cost": cost(episode),
         "config": _config(episode),

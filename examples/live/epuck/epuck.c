@@ -28,7 +28,7 @@ static const int MM[POINTS] = {5, 10, 15, 20, 30, 40, 60};
 static const int INTENSITY[POINTS] = {2000, 1300, 600, 380, 220, 150, 90};
 
 /* A wheel of 41 mm turns in 1000 steps: 3.1416 * 41 mm / 1000 = 0.1288 mm. */
-static const struct limslam_hello HELLO = {1, "e-puck", BEAMS, 128800, PERIOD_MS, 400};
+static const struct limslam_hello HELLO = {1, "e-puck", BEAMS, 128800, PERIOD_MS, 400, 0};
 
 static volatile uint32_t clock_ms;
 

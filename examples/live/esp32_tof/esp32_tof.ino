@@ -15,9 +15,14 @@
 #ifdef USE_WIFI
 #include <WiFi.h>
 #include <WiFiUdp.h>
-static const uint16_t HOST_PORT = 4700; /* limslam live --udp 4700 */
+/* limslam live --udp 4700 --listen 0.0.0.0 --token limslam
+ * Without --listen the host hears only itself. Choose a token of your own: it keeps apart the robots of one network. */
+static const uint16_t HOST_PORT = 4700;
+#define TOKEN "limslam"
 static WiFiUDP udp;
 static IPAddress host(255, 255, 255, 255); /* until a host has answered, everybody in the network is asked */
+#else
+#define TOKEN NULL /* at the end of a cable there is no other robot */
 #endif
 
 /* The same order as beams_deg in esp32_tof.toml: 90, 45, 15, -15, -45, -90 deg. */
@@ -36,7 +41,7 @@ static const uint16_t PERIOD_MS = 50, WATCHDOG_MS = 300, CONTROL_MS = 10;
 /* Speed control: PWM of 0 to 255 for each mm/s wanted, for each mm/s missing, and for each mm that is missing. */
 static const float FEED_FORWARD = 0.55f, GAIN = 0.4f, GAIN_OF_LAG = 3.0f;
 
-static struct limslam_hello hello = {0, "esp32-tof", BEAMS, NM_PER_TICK, PERIOD_MS, WATCHDOG_MS};
+static struct limslam_hello hello = {0, "esp32-tof", BEAMS, NM_PER_TICK, PERIOD_MS, WATCHDOG_MS, TOKEN};
 static struct limslam_link connection;
 static struct limslam_reader reader;
 static VL53L0X sensors[BEAMS];
@@ -117,7 +122,13 @@ static void start_line() {
 
 static void hear_line() {
     while (udp.parsePacket() > 0) {
-        while (udp.available()) hear_byte((char)udp.read());
+        /* While there is a host, nobody else is obeyed. */
+        const bool is_host = !connection.has_host || udp.remoteIP() == host;
+        while (udp.available()) {
+            const char byte = (char)udp.read();
+            if (is_host) hear_byte(byte);
+        }
+        if (!is_host) continue;
         hear_byte('\n');
         if (connection.has_host) host = udp.remoteIP();
     }

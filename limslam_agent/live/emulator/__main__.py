@@ -57,6 +57,10 @@ def emulate(
         float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")
     ] = 1.0,
     imu: Annotated[bool, typer.Option("--imu", help="Measure the heading, too.")] = False,
+    token: Annotated[
+        str | None,
+        typer.Option(help="Say this word in each hello, for a host with --token."),
+    ] = None,
     truth: Annotated[
         Path | None,
         typer.Option(help="File for the true poses, lines of t x y heading.", show_default=False),
@@ -72,7 +76,7 @@ def emulate(
         raise ValueError(f"--speed must be a number from 0 to 1000, not {speed:g}")
     errors = replace(NoiseConfig(), sensor_noise=noise)
     name = Path(robot).stem.replace("_", "-")
-    body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed, imu)
+    body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed, imu, token)
     pace = body.robot.control_period / speed if speed else 0.0
     if (udp is not None) + pty + ros2 != 1:
         raise ValueError("either --udp PORT, --pty or --ros2 is needed")

@@ -30,6 +30,7 @@ class Body(NamedTuple):
     watchdog_ms: int = 500  # Time without a line from the host after which its wheels stop, ms
     seed: int = 0  # Seed of all random numbers
     imu: bool = False  # Whether it measures its heading
+    token: str | None = None  # The word by which hosts in a network know it
 
 
 class SimulatedRobot:
@@ -82,7 +83,16 @@ class Emulator(SimulatedRobot):
         period = round(1e3 * robot.control_period)
         number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
         self.firmware = Firmware(
-            Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms)
+            Hello(
+                VERSION,
+                number,
+                body.name,
+                beams,
+                NM_PER_TICK,
+                period,
+                body.watchdog_ms,
+                body.token,
+            )
         )
 
     def hear(self, line: bytes) -> None:

@@ -53,7 +53,7 @@ HELLOS = st.builds(
     nm_per_tick=st.integers(1, 2**32 - 1),
     period_ms=AMOUNT,
     watchdog_ms=AMOUNT,
-)
+) | st.builds(Hello, st.just(VERSION), U32, NAMES, st.just(6), st.just(1), AMOUNT, AMOUNT, NAMES)
 TELEMETRY = st.builds(
     Telemetry,
     seq=U32,
@@ -141,6 +141,10 @@ def test_no_damaged_line_is_a_message(line, data):
         "Z,1",
         "H,1,2,,6,1,1,1",
         "H,1,2,a b,6,1,1,1",
+        "H,1,2,a,6,1,1,1,word",
+        "H,2,2,a,6,1,1,1,",
+        "H,2,2,a,6,1,1,1,a word",
+        "H,2,2,a,6,1,1,1,word,word",
         "H,1,2,a,0,1,1,1",
         "H,1,2,a,65,1,1,1",
         "S,1,1,1,1,1,2,5",
@@ -165,6 +169,8 @@ def test_a_right_checksum_does_not_make_a_message(body):
         Stop(2**32),
         Speeds(1, 1, 40000, 0),
         Hello(1, 1, "a b", 6, 1, 1, 1),
+        Hello(1, 1, "a", 6, 1, 1, 1, "version-1-has-no-token"),
+        Hello(2, 1, "a", 6, 1, 1, 1, "not,a,word"),
         Telemetry(1, 1, 1, 1, 1, 0, ()),
     ],
 )
@@ -206,6 +212,7 @@ class CHello(ctypes.Structure):
         ("nm_per_tick", ctypes.c_uint32),
         ("period_ms", ctypes.c_uint16),
         ("watchdog_ms", ctypes.c_uint16),
+        ("token", ctypes.c_char_p),
     ]
 
 
@@ -262,6 +269,7 @@ class Robot:
             hello.name.encode(),
             hello.beams,
             *(getattr(hello, name) for name in ("nm_per_tick", "period_ms", "watchdog_ms")),
+            None if hello.token is None else hello.token.encode(),
         )
         self._link = ctypes.create_string_buffer(256)
         library.limslam_start(self._link, ctypes.byref(self._hello))
@@ -300,6 +308,7 @@ def hello_of(generator):
         generator.randint(1, 2**32 - 1),
         generator.randint(1, 200),
         generator.randint(1, 2000),
+        generator.choice([None, "word", name]),
     )
 
 
@@ -426,7 +435,9 @@ LIBRARIES = {
             uint16_t readRangeContinuousMillimeters(); bool timeoutOccurred();
         };""",
     "WiFi.h": """
-        struct IPAddress { IPAddress(uint8_t, uint8_t, uint8_t, uint8_t); };
+        struct IPAddress {
+            IPAddress(uint8_t, uint8_t, uint8_t, uint8_t); bool operator==(const IPAddress &) const;
+        };
         enum wl_status_t { WL_CONNECTED = 3 };
         struct WiFiClass { wl_status_t begin(const char *, const char *); wl_status_t status(); bool setSleep(bool); };
         extern WiFiClass WiFi;""",

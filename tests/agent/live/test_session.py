@@ -1,6 +1,8 @@
 """Sessions with a live robot: in this process, and as the command with a robot in another one."""
 
 import json
+import os
+import select
 import socket
 import subprocess
 import sys
@@ -17,7 +19,6 @@ from limslam_agent import read_log, replay_log
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, checksum, decode
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
-from limslam_agent.live.transports import UdpTransport
 from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry import se2
 
@@ -359,6 +360,9 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
             "--serial and --udp are different places: the robot is at one of them only",
         ),
         (("--udp", 0, "--policy", "tour"), "the policy 'tour' knows the truth"),
+        (("--udp", 0, "--listen", "localhost"), "'localhost' is not an IPv4 address"),
+        (("--udp", 0, "--token", "two words"), "the token 'two words' is not a name of 1 to 24"),
+        (("--serial", "x", "--token", "word"), "--listen and --token are for --udp"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
         (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),
@@ -405,26 +409,19 @@ def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_second_robot_does_not_take_the_place_of_the_first():
-    transport = UdpTransport(0)
-    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
-    try:
-        for robot in sockets:
-            robot.settimeout(5.0)
-            robot.sendto(b"H,1\n", ("127.0.0.1", transport.port))
-        lines = []
-        while not lines:
-            lines += transport.receive(1.0)
-        assert lines == [b"H,1"]
-        transport.send(b"X,1\n")
-        assert sockets[0].recv(100) == b"X,1\n"
-        sockets[1].settimeout(0.05)
-        with pytest.raises(TimeoutError):
-            sockets[1].recv(100)
-    finally:
-        transport.close()
-        for robot in sockets:
-            robot.close()
+def test_a_robot_is_driven_only_if_it_says_the_token(emulator, tmp_path):
+    port, folder = free_port(), tmp_path / "room"
+    told = ("--preset", "consistent", "--max-time", 3, "--token", "our-word", "--out", folder)
+    emulator("--udp", port)
+    refused = limslam("live", "--udp", port, *told, "--patience", 3)
+    assert refused.returncode == 2
+    line = "limslam: warning: the robot paper at 127.0.0.1 is not driven: it has not said the token"
+    assert refused.stderr.count(line) == 1
+    emulator("--udp", port, "--token", "our-word")
+    driven = limslam("live", "--udp", port, *told)
+    assert driven.returncode == 0, driven.stderr
+    assert json.loads((folder / "result.json").read_text())["metrics"]["packets"] >= 30
+    assert all("our-word" not in path.read_text("latin-1") for path in folder.iterdir())
 
 
 def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_path):
@@ -469,6 +466,51 @@ def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
     # The robot has obeyed the stop, and has said so, before the session ended.
     assert np.abs(log.wheels[20:35]).min() > 0.0
     assert log.wheels[-1].tolist() == [0.0, 0.0]
+
+
+IN_A_TERMINAL = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, "-m", "limslam_agent", *sys.argv[1:]])
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGHUP")
+def test_a_terminal_that_is_closed_stops_the_robot_and_keeps_its_whole_log(emulator, tmp_path):
+    port, policy, sign = free_port(), tmp_path / "mine.py", tmp_path / "sign"
+    policy.write_text(
+        "from pathlib import Path\nimport numpy as np\n"
+        "class Drives:\n"
+        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
+        "    def act(self, belief):\n"
+        "        self.count += 1\n"
+        "        if self.count == 40:\n"
+        f"            Path({str(sign)!r}).touch()\n"
+        "        return np.array([0.3, 0.25])\n"
+    )
+    emulator("--udp", port)
+    ours, its = os.openpty()
+    told = ("--policy", f"{policy}:Drives", "--preset", "consistent", "--out", tmp_path / "room")
+    command = [sys.executable, "-c", IN_A_TERMINAL, "live", "--udp", port, *told]
+    process = subprocess.Popen(
+        [*map(str, command)], stdin=its, stdout=its, stderr=its, start_new_session=True
+    )
+    os.close(its)
+    until_closed(ours, sign)
+    assert process.wait(60) == 129
+    log = read_log(tmp_path / "room-log.npz")
+    assert len(log) >= 40
+    assert np.abs(log.wheels[20:35]).min() > 0.0
+    assert log.wheels[-1].tolist() == [0.0, 0.0]
+    assert not (tmp_path / "room").exists()
+
+
+def until_closed(terminal, sign):
+    """Read what a program writes to a terminal until a file is there, and close the terminal."""
+    while not sign.exists():
+        if select.select([terminal], [], [], 0.02)[0]:
+            os.read(terminal, 10_000)
+    os.close(terminal)
 
 
 @pytest.mark.parametrize("told", [("--udp", "99999"), ("--ros2", "--imu")])
