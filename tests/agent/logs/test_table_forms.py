@@ -115,6 +115,7 @@ def test_every_form_of_odometry_gives_the_travel_of_the_wheels(write, columns, o
     [
         {"t": TIME, "v": FORWARD / PERIOD, "omega": TURN / PERIOD},
         {"theta": POSES[:, 2], "y": POSES[:, 1], "t": TIME, "x": POSES[:, 0]},
+        {"t": TIME, "angle_deg": np.degrees(POSES[:, 2]), "x": POSES[:, 0], "y": POSES[:, 1]},
         {
             "t": TIME,
             "stateEstimate.x": POSES[:, 0],
