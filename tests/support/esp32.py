@@ -78,15 +78,19 @@ static void turn_wheel(int side, int count) {
     }
 }
 
-/* Rows of the input: ticks of both wheels, the turn rate, ranges. Each holds for a period. */
+/* Rows of the input: ticks of both wheels and turn rate since the row before, ranges. */
 int main() {
     int left, right;
     setup();
+    uint32_t next_row = clock_ms;
     while (scanf("%d %d %lf", &left, &right, &turn_rate_now) == 3) {
         for (int i = 0; i < BEAMS; i++) if (scanf("%u", &mm[i]) != 1) return 1;
+        for (; clock_ms < next_row; clock_ms++) loop();
         turn_wheel(0, left);
         turn_wheel(1, right);
-        for (const uint32_t end = clock_ms + PERIOD_MS; clock_ms < end; clock_ms++) loop();
+        loop();
+        next_row = clock_ms + PERIOD_MS;
+        clock_ms++;
     }
     return 0;
 }
@@ -105,7 +109,7 @@ def run_sketch(
     headers
         Folder of the headers in place of those of the libraries. Files on the card are there.
     rows
-        For each period: ticks of both wheels, turn rate (deg/s), and the range of each beam (mm,
+        For each period: ticks of both wheels, turn rate (deg/s), and then the range of each beam (mm,
         65536 without a new reading).
     options
         Options of the compiler.
