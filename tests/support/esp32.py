@@ -78,7 +78,7 @@ static void turn_wheel(int side, int count) {
     }
 }
 
-/* Rows of the input: ticks of both wheels and turn rate since the row before, ranges. */
+/* Rows of the input: ticks and turn rate since the row before, ranges. */
 int main() {
     int left, right;
     setup();
@@ -109,7 +109,7 @@ def run_sketch(
     headers
         Folder of the headers in place of those of the libraries. Files on the card are there.
     rows
-        For each period: ticks of both wheels, turn rate (deg/s), and then the range of each beam (mm,
+        For each period: ticks of both wheels, turn rate (deg/s), and the range of each beam (mm,
         65536 without a new reading).
     options
         Options of the compiler.
