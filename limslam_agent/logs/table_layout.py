@@ -201,11 +201,15 @@ def nearest_beam(robot: RobotSpec, degrees: float, source: str) -> int:
 
 
 def _first_places(columns: Sequence[Column]) -> dict[Role, int]:
-    """The first place of each role; of the wheels, the first two that hold the same."""
+    """The first place of each role; of the wheels, the first two that hold the same. An angle
+    beside x and y is a heading.
+    """
     places: dict[Role, int] = {}
     for place, column in enumerate(columns):
         if column.role is not None:
             places.setdefault(column.role, place)
+    if Role.ANGLE in places and _picked(places, Role.X, Role.Y):
+        places.setdefault(Role.HEADING, places.pop(Role.ANGLE))
     wheels = _wheels(columns)
     return {**places, **wheels}
 

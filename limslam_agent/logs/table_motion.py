@@ -23,6 +23,9 @@ _LEAST_TURNED = 1.0  # rad by the wheels, below which nothing can be said about 
 # A heading follows the wheels if it turns by their turn within this factor, and correlates.
 _LARGEST_FACTOR = 2.5
 _LEAST_CORRELATION = 0.5
+# rad: by the wheels, after which a heading that was measured differs from them by more than this,
+# which is more than headings are rounded by
+_TURNED_TO_DIFFER, _NO_DIFFERENCE = 20.0, 0.03
 
 
 @dataclass(frozen=True)
@@ -267,6 +270,12 @@ class _Conversion:
             return None
         if unit:
             self.units[role] = unit
+        if _follows(choices[unit], turns):
+            self.notes.append(
+                f"the heading in {name} is left out: it never differs from that of the wheels, "
+                "so it was calculated from them"
+            )
+            return None
         if factor < 0.0:
             self.notes.append(
                 f"the heading in {name} counts against the turns by the wheels, and is read the "
@@ -319,6 +328,19 @@ def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | N
         if found >= correlation and 1.0 / _LARGEST_FACTOR <= abs(slope) <= _LARGEST_FACTOR:
             best, factor, correlation = unit, slope, found
     return best, factor
+
+
+def _follows(heading: FloatArray, turns: FloatArray) -> bool:
+    """Whether a heading (n,), rad, is the sum of the turns (n,) by the wheels, rad, in either
+    direction. A measured one differs from it after some turns, by slip if by nothing else.
+    """
+    rows = np.flatnonzero(np.isfinite(heading))
+    by_wheels = np.cumsum(turns)[rows]
+    if not len(rows) or np.abs(np.diff(by_wheels)).sum() < _TURNED_TO_DIFFER:
+        return False
+    turned = np.cumsum(se2.wrap_angle(np.diff(heading[rows], prepend=heading[rows[:1]])))
+    differences = np.array([turned - by_wheels, turned + by_wheels])
+    return bool(np.ptp(differences, axis=1).min() < _NO_DIFFERENCE)
 
 
 def _yaw_of(quaternion: list[FloatArray]) -> FloatArray:

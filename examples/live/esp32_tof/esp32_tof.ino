@@ -5,6 +5,8 @@
  *
  * Needs: Arduino core for ESP32, library "VL53L0X" by Pololu. Copy limslam_link.h and limslam_link.c beside this file.
  * The robot is described for the host in esp32_tof.toml. docs/live.md has the wiring and the first drive.
+ *
+ * With WRITE_CSV the sketch only writes a log for `limslam replay`, a row each 50 ms (docs/robot/own_log.md).
  */
 #include <VL53L0X.h>
 #include <Wire.h>
@@ -12,6 +14,17 @@
 #include "limslam_link.h"
 
 /* #define USE_WIFI "name of the network", "password" */
+/* #define WRITE_CSV */ /* no host: write a log, with the motors off, so that the robot can be pushed */
+/* #define CARD */      /* write the log to an SD card instead of the serial port */
+/* #define GYRO */      /* a board with an MPU-6050, flat on the robot, on the same two wires as the ranges */
+
+#ifdef CARD
+#include <SD.h>
+#include <SPI.h>
+static const int8_t CARD_SCK = 4, CARD_MISO = 33, CARD_MOSI = 23, CARD_CS = 5;
+static File card;
+#endif
+
 #ifdef USE_WIFI
 #include <WiFi.h>
 #include <WiFiUdp.h>
@@ -81,6 +94,51 @@ static uint32_t new_range(int i) {
     return sensors[i].timeoutOccurred() ? LIMSLAM_NO_READING : mm;
 }
 
+static double heading; /* deg, counter-clockwise */
+#ifdef GYRO
+static const uint8_t GYRO_ADDRESS = 0x68;
+static bool has_gyro;
+static float turn_rate_at_rest; /* deg/s */
+
+static bool set_gyro(uint8_t place, uint8_t value) {
+    Wire.beginTransmission(GYRO_ADDRESS);
+    Wire.write(place);
+    Wire.write(value);
+    return Wire.endTransmission() == 0;
+}
+
+/* deg/s, counter-clockwise if the chip's side with the print looks up */
+static float turn_rate() {
+    Wire.beginTransmission(GYRO_ADDRESS);
+    Wire.write((uint8_t)0x47);
+    Wire.endTransmission(false);
+    Wire.requestFrom(GYRO_ADDRESS, (uint8_t)2);
+    const int high = Wire.read();
+    const int low = Wire.read();
+    return (float)(int16_t)(high << 8 | low) / 65.5f;
+}
+
+/* The robot has to stand still for the second in which the error of the chip is measured. */
+static void start_gyro() {
+    static const int SAMPLES = 100;
+    has_gyro = set_gyro(0x6B, 0) && set_gyro(0x1A, 3) && set_gyro(0x1B, 0x08); /* awake, 42 Hz, 500 deg/s */
+    for (int i = 0; has_gyro && i < SAMPLES; i++) {
+        delay(10);
+        turn_rate_at_rest += turn_rate() / SAMPLES;
+    }
+}
+
+static void follow_turn(uint32_t now) {
+    static uint32_t before = now;
+    if (has_gyro) heading += 0.001 * (now - before) * (turn_rate() - turn_rate_at_rest);
+    before = now;
+}
+#else
+static const bool has_gyro = false;
+static void start_gyro() {}
+static void follow_turn(uint32_t) {}
+#endif
+
 static void drive_motor(int side, float pwm) {
     const int duty = (int)constrain(fabsf(pwm), 0.0f, 255.0f);
     analogWrite(AHEAD[side], pwm > 0.0f ? duty : 0);
@@ -141,13 +199,65 @@ static void send_text(const char *text, size_t length) {
     udp.endPacket();
 }
 #else
-static void start_line() { Serial.begin(115200); }
-
 static void hear_line() {
     while (Serial.available()) hear_byte((char)Serial.read());
 }
 
+#ifdef CARD
+/* A new file each time: log0.csv, log1.csv, ... Without a card, the serial port says so. */
+static void start_line() {
+    char name[16];
+    Serial.begin(115200);
+    SPI.begin(CARD_SCK, CARD_MISO, CARD_MOSI, CARD_CS);
+    while (!SD.begin(CARD_CS)) {
+        Serial.println("no card");
+        delay(1000);
+    }
+    int number = 0;
+    do snprintf(name, sizeof name, "/log%d.csv", number++);
+    while (SD.exists(name));
+    card = SD.open(name, FILE_WRITE);
+}
+
+static void send_text(const char *text, size_t length) {
+    static uint32_t next_flush;
+    card.write((const uint8_t *)text, length);
+    if ((int32_t)(millis() - next_flush) < 0) return;
+    next_flush = millis() + 1000; /* what is lost when the robot is switched off */
+    card.flush();
+}
+#else
+static void start_line() { Serial.begin(115200); }
+
 static void send_text(const char *text, size_t length) { Serial.write((const uint8_t *)text, length); }
+#endif
+#endif
+
+#if defined(WRITE_CSV) || defined(CARD)
+static const char COLUMNS[] = "time_ms,left_ticks,right_ticks,r_90_mm,r_45_mm,r_15_mm,r_-15_mm,r_-45_mm,r_-90_mm";
+
+/* A row of the log. A range without a new reading stays empty. The names of the columns are repeated every 10 s, for a
+ * monitor that is opened late. */
+static size_t new_text(uint32_t now, const uint32_t *ranges, char *text, size_t size) {
+    static uint32_t rows;
+    size_t length = 0;
+    if (rows++ % 200 == 0) length += snprintf(text, size, "%s%s\n", COLUMNS, has_gyro ? ",yaw_deg" : "");
+    length += snprintf(text + length, size - length, "%lu,%ld,%ld", (unsigned long)now, (long)ticks[0], (long)ticks[1]);
+    for (int i = 0; i < BEAMS; i++) {
+        text[length++] = ',';
+        if (ranges[i] == LIMSLAM_NO_READING) continue;
+        length += snprintf(text + length, size - length, "%lu", (unsigned long)ranges[i]);
+    }
+    if (has_gyro) length += snprintf(text + length, size - length, ",%.2f", heading);
+    text[length++] = '\n';
+    return length;
+}
+#else
+static size_t new_text(uint32_t now, const uint32_t *ranges, char *text, size_t size) {
+    if (!has_gyro) return limslam_say(&connection, now, ticks[0], ticks[1], ranges, text, size);
+    const int32_t turned = (int32_t)(1000.0 * heading);
+    return limslam_say_heading(&connection, now, ticks[0], ticks[1], turned, ranges, text, size);
+}
 #endif
 
 void setup() {
@@ -162,6 +272,7 @@ void setup() {
     attachInterrupt(digitalPinToInterrupt(ENCODER_A[1]), right_tick, CHANGE);
     start_line();
     start_sensors();
+    start_gyro();
     hello.boot = esp_random();
     limslam_start(&connection, &hello);
 }
@@ -173,12 +284,13 @@ void loop() {
     if ((int32_t)(now - next_control) >= 0) {
         next_control = now + CONTROL_MS;
         control_wheels(now);
+        follow_turn(now);
     }
     if ((int32_t)(now - next_line) >= 0) {
         next_line = now + PERIOD_MS;
         uint32_t ranges[BEAMS];
         char text[LIMSLAM_LONGEST_TEXT];
         for (int i = 0; i < BEAMS; i++) ranges[i] = new_range(i);
-        send_text(text, limslam_say(&connection, now, ticks[0], ticks[1], ranges, text, sizeof text));
+        send_text(text, new_text(now, ranges, text, sizeof text));
     }
 }

@@ -4,12 +4,16 @@ host.
 
 import ctypes
 import random
+import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.command_line import limslam
+from support.esp32 import run_sketch
 from support.markdown import ROOT, blocks
 
 from limslam_agent.cli.settings import robot_named
@@ -32,6 +36,8 @@ from limslam_agent.live.protocol import (
     encode,
 )
 from limslam_agent.live.transports import LineBuffer
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.table_options import TableOptions
 from limslam_env.robots import e_puck
 
 U32, I32, I16 = (
@@ -413,6 +419,7 @@ ARDUINO = """
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
+#include <stdio.h>
 #define IRAM_ATTR
 enum { LOW, HIGH, INPUT, OUTPUT, CHANGE };
 template <class T> T constrain(T x, T low, T high) { return x < low ? low : x > high ? high : x; }
@@ -420,12 +427,27 @@ int digitalRead(uint8_t); void digitalWrite(uint8_t, uint8_t); void pinMode(uint
 void analogWrite(uint8_t, int); uint8_t digitalPinToInterrupt(uint8_t);
 void attachInterrupt(uint8_t, void (*)(), int);
 unsigned long millis(); void delay(uint32_t); uint32_t esp_random();
-struct Port { void begin(unsigned long); int available(); int read(); size_t write(const uint8_t *, size_t); };
+struct Port {
+    void begin(unsigned long); int available(); int read(); size_t write(const uint8_t *, size_t);
+    size_t println(const char *);
+};
 extern Port Serial;
 """
 LIBRARIES = {
     "Arduino.h": ARDUINO,
-    "Wire.h": "struct TwoWire { bool begin(); bool setClock(uint32_t); }; extern TwoWire Wire;",
+    "Wire.h": """
+        struct TwoWire {
+            bool begin(); bool setClock(uint32_t); void beginTransmission(uint8_t);
+            size_t write(uint8_t); uint8_t endTransmission(bool stop = true);
+            uint8_t requestFrom(uint8_t, uint8_t); int read();
+        };
+        extern TwoWire Wire;""",
+    "SPI.h": "struct SPIClass { void begin(int8_t, int8_t, int8_t, int8_t); }; extern SPIClass SPI;",
+    "SD.h": """
+        #define FILE_WRITE "w"
+        struct File { FILE *file; size_t write(const uint8_t *, size_t); void flush(); };
+        struct SDFS { bool begin(uint8_t); bool exists(const char *); File open(const char *, const char *); };
+        extern SDFS SD;""",
     "VL53L0X.h": """
         struct VL53L0X {
             enum regAddr { RESULT_INTERRUPT_STATUS = 0x13 };
@@ -463,17 +485,22 @@ LIBRARIES = {
 
 
 @pytest.fixture
-def compiles(tmp_path):
+def stand_ins(tmp_path):
+    """A folder with headers in place of those of the libraries."""
     if not EXAMPLES.is_dir():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
     for name, text in LIBRARIES.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text + "\n", encoding="utf-8")
+    return tmp_path
 
+
+@pytest.fixture
+def compiles(stand_ins):
     def compile_with(compiler, *options):
         if shutil.which(compiler) is None:
             pytest.skip(f"there is no {compiler}")
-        folders = ["-I", tmp_path, "-I", EXAMPLES]
+        folders = ["-I", stand_ins, "-I", EXAMPLES]
         return subprocess.run(
             [compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", *folders, *options],
             capture_output=True,
@@ -484,10 +511,70 @@ def compiles(tmp_path):
     return compile_with
 
 
-@pytest.mark.parametrize("told", [(), ('-DUSE_WIFI="network","password"',)], ids=["serial", "wifi"])
+WIFI = '-DUSE_WIFI="network","password"'
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        *[(), (WIFI,), ("-DGYRO",), ("-DWRITE_CSV",), ("-DCARD",)],
+        *[(WIFI, "-DWRITE_CSV", "-DGYRO"), ("-DCARD", "-DGYRO")],
+    ],
+    ids=" ".join,
+)
 def test_the_sketch_for_an_esp32(compiles, told):
     sketch = EXAMPLES / "esp32_tof" / "esp32_tof.ino"
     assert compiles("g++", *told, "-include", "Arduino.h", "-x", "c++", sketch) == ""
+
+
+DRIVE = [(70, 72, 1.0, 500 + row, 600, 8190, 8190, NO_READING, 400) for row in range(250)]
+DRIVE[3] = (-140, -144, -2.0, 503, 600, 8190, 8190, 777, 400)
+BOOT = "ets Jul 29 2019 12:21:46\n\nrst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST_FLASH_BOOT)\n"
+
+
+@pytest.mark.parametrize(
+    "told", [("-DWRITE_CSV",), ("-DWRITE_CSV", "-DGYRO"), ("-DCARD",)], ids=" ".join
+)
+def test_the_log_that_the_sketch_for_an_esp32_writes(stand_ins, told):
+    if shutil.which("g++") is None:
+        pytest.skip("there is no g++")
+    for name in ("log0.csv", "log1.csv"):
+        (stand_ins / name).write_text("an older log\n", encoding="utf-8")
+    folder = EXAMPLES / "esp32_tof"
+    log = stand_ins / "log2.csv"
+    written = run_sketch(folder / "esp32_tof.ino", stand_ins, DRIVE, *told)
+    if told == ("-DCARD",):
+        assert set(written.splitlines()) == {"no card"}
+        assert (stand_ins / "log0.csv").read_text(encoding="utf-8") == "an older log\n"
+    else:
+        log.write_text(BOOT + written, encoding="utf-8")
+    size = re.search(r"NM_PER_TICK = (\d+);", (folder / "esp32_tof.ino").read_text("utf-8"))
+    metres = int(size[1]) * 1e-9
+    options = ["--metres-per-tick", metres, "--accumulated", "--dry-run"]
+    shown = limslam("replay", log, "--robot", folder / "esp32_tof.toml", *options)
+    assert shown.returncode == 0, shown.stderr
+    for column in (
+        "time_ms -> time, ms",
+        f"left_ticks -> left wheel, {metres:g} m for each 1",
+        f"right_ticks -> right wheel, {metres:g} m for each 1",
+        "r_-45_mm -> range at -45 deg, mm",
+    ):
+        assert f"column      {column}\n" in shown.stdout
+    assert ("column      yaw_deg -> heading, deg\n" in shown.stdout) == ("-DGYRO" in told)
+    assert "events      250 in 12.4 s, 20 a second, 250 with ranges\n" in shown.stdout
+
+    robot = robot_named(str(folder / "esp32_tof.toml"))
+    table = TableOptions(robot, metres_per_tick=metres, accumulated=True)
+    read = read_log(log, table=table)
+    np.testing.assert_allclose(np.diff(read.time), 0.05)
+    np.testing.assert_allclose(
+        read.wheels[1:], [[metres * each for each in row[:2]] for row in DRIVE[1:]]
+    )
+    ranges = [[1e-3 * mm if mm < NO_READING else np.nan for mm in row[3:]] for row in DRIVE]
+    np.testing.assert_allclose(read.reported, ranges)
+    if "-DGYRO" in told:  # the error of 3 deg/s at rest is gone
+        turned = np.degrees(read.yaw[-1] - read.yaw[0])
+        assert turned == pytest.approx(sum(row[2] for row in DRIVE[1:]) * 0.05, abs=0.2)
 
 
 def test_the_program_for_an_e_puck(compiles):

@@ -115,6 +115,7 @@ def test_every_form_of_odometry_gives_the_travel_of_the_wheels(write, columns, o
     [
         {"t": TIME, "v": FORWARD / PERIOD, "omega": TURN / PERIOD},
         {"theta": POSES[:, 2], "y": POSES[:, 1], "t": TIME, "x": POSES[:, 0]},
+        {"t": TIME, "angle_deg": np.degrees(POSES[:, 2]), "x": POSES[:, 0], "y": POSES[:, 1]},
         {
             "t": TIME,
             "stateEstimate.x": POSES[:, 0],
@@ -255,6 +256,26 @@ def test_a_heading_beside_wheels_is_read_in_its_unit_and_counter_clockwise(write
         said = read_log(path, table=TableOptions(ROBOT, columns=chosen))
         np.testing.assert_allclose(said.yaw, log.yaw)
         assert said.notes == ()
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_heading_that_was_calculated_from_the_wheels_is_no_measurement(write, sign):
+    count = 1200
+    left, right = np.full(count, 0.010), np.full(count, 0.013)
+    turned = np.cumsum((right - left) / ROBOT.axle)
+    slip = np.radians(3.0) * (np.arange(count) > count // 2)
+
+    def read(yaw):
+        degrees = np.degrees(sign * yaw).round(1)
+        rows = zip(0.1 * np.arange(count), left, right, degrees, strict=True)
+        lines = [f"{t:.1f},{a},{b},{yaw},1.0" for t, a, b, yaw in rows]
+        text = "\n".join(["t,left,right,yaw,r_90", *lines]) + "\n"
+        return read_log(write(text), table=TableOptions(ROBOT, angle_unit="deg"))
+
+    calculated, measured = read(turned), read(turned - slip)
+    assert calculated.yaw is None
+    assert "never differs from that of the wheels" in calculated.notes[0]
+    assert measured.yaw is not None
 
 
 def test_a_heading_may_be_missing_in_some_rows(write):
