@@ -11,7 +11,7 @@ import numpy as np
 
 from limslam_agent.logs.columns import Column, Dimension, Role, column_of, numbered
 from limslam_agent.logs.pose_log import WORST_BEAM_MISMATCH_DEG
-from limslam_agent.logs.recorded_log import MOST_BEAMS, check_beams
+from limslam_agent.logs.recorded_log import MOST_BEAMS
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
@@ -84,7 +84,8 @@ class Layout:
 
 def columns_of(names: Sequence[str]) -> tuple[Column, ...]:
     """What the columns of these names hold. ``...`` stands for directions in equal steps."""
-    check_beams(len(names) - 4)
+    if len(names) > MOST_BEAMS:
+        raise ValueError(f"there are {len(names)} columns, more than {MOST_BEAMS}")
     columns: list[Column] = []
     for place, name in enumerate(names):
         if name == DOTS:

@@ -12,13 +12,10 @@ from limslam_agent.replay.misreading import Misreading
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 
-_MOSTLY_NOTHING = (
-    0.95  # share of readings that saw nothing, above which the ranges are probably not in metres
-)
-_SHORTEST_PERIOD, _LONGEST_PERIOD = (
-    1e-3,
-    10.0,
-)  # s: median times between events beyond them are probably not in seconds
+# Share of readings that saw nothing, above which the ranges are probably not in metres
+_MOSTLY_NOTHING = 0.95
+# s: median times between events beyond them are probably not in seconds
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-3, 10.0
 # of the longest range: a smaller largest reading was probably cut off by the sensor itself
 _CLEARLY_BELOW = 0.85
 # Up to this share of readings may see nothing without a reason that all of them have.
@@ -35,14 +32,12 @@ _MOST_TURNS = 4.0
 # a robot with wheels drives along its heading: 1. It is 0 where the heading is in another unit
 _LEAST_ALIGNED = 0.5
 _MOST_NAMED = 5  # times in a warning
-_CLEARLY_FASTER = (
-    1.2  # a wheel with this many times its largest speed on average may have travel in another unit
-)
+# a wheel with this many times its largest speed on average may have travel in another unit
+_CLEARLY_FASTER = 1.2
 # share of readings of the other beams that saw nothing, above which a beam may never see a wall
 _MANY_NOTHING = 0.3
-_LEAST_SPREAD = (
-    0.5  # m: if the middle half of the readings of a beam has a wider range, the robot has moved
-)
+# m: if the middle half of the readings of a beam has a wider range, the robot has moved
+_LEAST_SPREAD = 0.5
 
 
 def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list[str]:
