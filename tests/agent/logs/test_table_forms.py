@@ -521,4 +521,11 @@ def test_a_quaternion_of_zeros_says_no_heading(write):
 def test_a_table_of_too_many_columns_is_refused(write):
     names = [f"x{number}" for number in range(5000)]
     path = write(",".join(["t,x,y,theta,r_0", *names]) + "\n")
-    assert "5005 columns, more than 4096" in refusal(path)
+    assert "5005 columns, more than 4100" in refusal(path)
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n"])
+def test_lines_may_end_as_on_any_system(write, end):
+    text = table({"t": TIME, "left": LEFT, "right": RIGHT})
+    log = read_log(write(text.replace("\n", end)), table=TableOptions(robot=ROBOT))
+    assert len(log) == COUNT
