@@ -262,6 +262,10 @@ def _why_no_walls(replay: Replay) -> str:
         return "the log has no readings"
     if share > _MOSTLY_NOTHING:
         return "almost no reading saw anything"
+    if not (log.ranges[log.has_scan] > log.robot.too_near).any():
+        return (
+            "all readings are the shortest ones: are the sensors connected, and what does 0 mean?"
+        )
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"
     if driven == 0.0:

@@ -191,10 +191,10 @@ class _Drawing:
             # A warning says that an arc without a radius is a line, which it is.
             with warnings.catch_warnings(action="ignore"):
                 segments = parse_path(text)
-            if any(segment.end is None for segment in segments):
-                raise ValueError("a path begins with M")
         except (ValueError, IndexError, TypeError, ArithmeticError, AssertionError) as error:
             raise WorldError(f"{tag} {element.get('id', '')!r} cannot be read: {error}") from error
+        if any(segment.end is None for segment in segments):
+            raise WorldError(f"{tag} {element.get('id', '')!r}: a path begins with M")
         scale = float(np.linalg.norm(place.transform[:2, :2], 2))
         runs: list[list[complex]] = []
         for segment in segments:
