@@ -268,10 +268,9 @@ def _why_no_walls(replay: Replay) -> str:
         )
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"
-    if driven == 0.0:
-        return "by odometry the robot never moves"
     if driven < _LEAST_DRIVEN:
-        return f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
+        little = f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
+        return little if driven else "by odometry the robot never moves"
     return (
         f"the {1.0 - share:.0%} of the readings that saw something do not lie on lines. Are "
         "odometry and ranges in "
