@@ -269,15 +269,15 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
     columns = () if options.columns is None else tuple(options.columns.split(","))
     return TableOptions(
         robot,
-        options.metres_per_tick,
-        options.accumulated,
-        options.range_unit,
-        options.time_unit,
-        axes,
-        tuple(name.strip() for name in columns),
-        options.angle_unit,
-        options.position_unit,
-        options.wheel_radius,
+        metres_per_tick=options.metres_per_tick,
+        accumulated=options.accumulated,
+        range_unit=options.range_unit,
+        time_unit=options.time_unit,
+        zone_axes=axes,
+        columns=tuple(name.strip() for name in columns),
+        angle_unit=options.angle_unit,
+        position_unit=options.position_unit,
+        wheel_radius=options.wheel_radius,
     )
 
 

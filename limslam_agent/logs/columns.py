@@ -114,7 +114,7 @@ _NOT_MEASURED = _words_in(
     "covariance std var seq id rssi true truth gt mocap vicon acc accel acceleration pitch roll "
     "mag dt loop period valid"
 )
-_CLOCK = _words_in("t time stamp timestamp datetime clock uptime")
+_CLOCK = _words_in("t time stamp timestamp datetime clock uptime elapsed")
 _SENSOR = _words_in(
     "r range ranges dist distance tof flight us uss sonar ultrasonic ultrasound ir lidar laser "
     "prox proximity sharp sensor echo beam hcsr hc vl d s"
@@ -344,9 +344,9 @@ def _range(name: str, text: str, words: list[str]) -> Column | None:
     column = Column(name, Role.RANGE, usual=usual)
     is_short = words[0] in _SHORT_SENSOR or words[-1] in _SHORT_LAST
     if len(words) == 1 or not (is_short or set(words) & (_SENSOR - _SHORT_SENSOR)):
-        degrees = direction_of("_".join(words)) if _is_direction(words) else None
-        is_wheel = degrees is None or _wheel(words) is not None
-        return None if is_wheel else replace(column, degrees=degrees, is_word=True, is_bare=True)
+        is_wheel = not _is_direction(words) or _wheel(words) is not None
+        found = None if is_wheel else _pointing(column, text, words)
+        return None if found is None else replace(found, is_bare=True)
     return None if set(words) & _NO_SENSOR else _pointing(column, text, words)
 
 
@@ -371,10 +371,12 @@ def _pointing(column: Column, text: str, words: list[str]) -> Column | None:
 
 
 def _is_direction(words: Sequence[str]) -> bool:
-    """Whether all words are directions, beside a number that counts the sensors."""
-    return all(
-        (len(word) > 1 and direction_of(word) is not None) or word.isdigit() for word in words
-    )
+    """Whether all words are directions, beside a number of degrees or one that counts the
+    sensors.
+    """
+    named = [word for word in words if not word.isdigit()]
+    are_directions = all(len(word) > 1 and direction_of(word) is not None for word in named)
+    return are_directions and direction_of("_".join(named)) is not None
 
 
 def _wheel(words: Sequence[str]) -> Role | None:

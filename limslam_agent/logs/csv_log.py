@@ -107,7 +107,9 @@ def read_csv(
         table = _Table.of(header, beams_deg, max_range, options)
         for number, line in lines:
             table.rows.add(number, line)
-        return table.log()
+        # What overflows on the way is refused as too large.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return table.log()
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,8 @@ _VERTICAL = {
     "zrange",
 }
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+(?:\.\d+)?")
-_SIGN = r"(?:([-+])|(?<![a-z0-9.])(m|minus_?|neg_?)?)"
+# In "beam30deg", "m30deg" does not say which sign was meant.
+_SIGN = r"(?:([-+])|(?<![a-z0-9.])(m|minus_?|neg_?)|(?<![mgs0-9.]))"
 _DEGREES = re.compile(_SIGN + r"(\d{1,3}(?:\.\d+)?)_?deg(?![a-z])", re.IGNORECASE)
 
 

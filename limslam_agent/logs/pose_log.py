@@ -100,10 +100,9 @@ def pose_log(
     :class:`RecordedLog`.
 
     The headings of ``odometry`` may include full turns. Single poses that are off the path are
-    replaced. Of a robot that is not described only a
-    radius of 0.2 m is assumed. The frame of the estimate is the robot's first pose, because the
-    origin of odometry is arbitrary. Raises a ValueError if a number is not finite, or the odometry
-    jumps or has impossible coordinates.
+    replaced. Of a robot that is not described only a radius of 0.2 m is assumed. The frame of the
+    estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a
+    ValueError if a number is not finite, or the odometry jumps or has impossible coordinates.
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))

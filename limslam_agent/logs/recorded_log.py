@@ -338,10 +338,9 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         try:
             is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
             file.seek(0)
-            lines = _lines_of_utf16(file) if is_utf16 else _lines_of(file)
-            for line in lines:
+            for line in _lines_of(file, is_utf16=is_utf16):
                 number += 1
-                if b"\0" in line or len(line) == LONGEST_LINE:
+                if b"\0" in line or len(line) >= LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
                 unpacked += len(line)
@@ -356,18 +355,12 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
             raise ValueError(f"line {number + 1}: the gzip stream is damaged: {error}") from error
 
 
-def _lines_of(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
-    while line := file.readline(LONGEST_LINE):
-        yield line
-
-
-def _lines_of_utf16(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
-    """The lines of a text in UTF-16, in UTF-8."""
-    with io.TextIOWrapper(
-        cast("IO[bytes]", file), encoding="utf-16", errors="replace", newline="\n"
-    ) as text:
+def _lines_of(file: IO[bytes] | gzip.GzipFile, *, is_utf16: bool) -> Iterator[bytes]:
+    """The lines of a text, whatever ends them, with a newline. A text in UTF-16 becomes UTF-8."""
+    read_as, write_as = ("utf-16", "utf-8") if is_utf16 else ("latin-1", "latin-1")
+    with io.TextIOWrapper(cast("IO[bytes]", file), encoding=read_as, errors="replace") as text:
         while line := text.readline(LONGEST_LINE):
-            yield line.encode("utf-8", "replace")
+            yield line.encode(write_as, "replace")
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from limslam_agent.logs.columns import Column, Dimension, Role, column_of, numbered
 from limslam_agent.logs.pose_log import WORST_BEAM_MISMATCH_DEG
-from limslam_agent.logs.recorded_log import MOST_BEAMS, check_beams
+from limslam_agent.logs.recorded_log import MOST_BEAMS
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
@@ -24,6 +24,7 @@ DOTS = "..."
 
 _EXAMPLE = "t,left,right,r_90,r_0,... or t,x,y,theta,r_90,r_0,..."
 _TIME = "the time of each row (t)"
+_MOST_COLUMNS = MOST_BEAMS + 4  # a time and a pose, or as many others
 _MOST_NAMED = 12  # columns in a message
 _WORD_PRECISION_DEG = 45.0  # "front_left" is any direction between front and left
 _QUATERNION = (Role.QX, Role.QY, Role.QZ, Role.QW)
@@ -84,7 +85,8 @@ class Layout:
 
 def columns_of(names: Sequence[str]) -> tuple[Column, ...]:
     """What the columns of these names hold. ``...`` stands for directions in equal steps."""
-    check_beams(len(names) - 4)
+    if len(names) > _MOST_COLUMNS:
+        raise ValueError(f"there are {len(names)} columns, more than {_MOST_COLUMNS}")
     columns: list[Column] = []
     for place, name in enumerate(names):
         if name == DOTS:

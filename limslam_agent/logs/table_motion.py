@@ -216,7 +216,11 @@ class _Conversion:
     def _heading(self) -> FloatArray:
         """The heading of poses (n,), rad."""
         if Role.QW in self.layout.motion:
-            return _yaw_of([self.values[role] for role in _QUATERNION])
+            heading = _yaw_of([self.values[role] for role in _QUATERNION])
+            if not np.isfinite(heading).all():
+                row = int(np.argmin(np.isfinite(heading)))
+                raise ValueError(f"the quaternion (qx, qy, qz, qw) of row {row} is no rotation")
+            return heading
         role = Role.HEADING if Role.HEADING in self.layout.motion else Role.YAW
         return self._in_degrees_if_fast(role, "rad")
 
@@ -344,6 +348,7 @@ def _follows(heading: FloatArray, turns: FloatArray) -> bool:
 
 
 def _yaw_of(quaternion: list[FloatArray]) -> FloatArray:
-    """Headings (n,), rad, of quaternions x, y, z, w of any length."""
+    """Headings (n,), rad, of quaternions x, y, z, w of any length; NaN where they are zero."""
     x, y, z, w = quaternion
-    return np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    heading = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+    return np.where(np.any(quaternion, axis=0), heading, np.nan)

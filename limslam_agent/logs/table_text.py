@@ -44,6 +44,7 @@ _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
 _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
 _LONGEST_QUOTE = 60
+_BLANK = b' \t\r\n,;"'
 # What a serial monitor writes before each line.
 _MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
 
@@ -201,7 +202,8 @@ class Rows:
             return
         lines = self.damaged + len(self.lines)
         share = f"{self.damaged} of {counted(lines, 'line')} cannot be read as rows of the table"
-        columns = "" if self.lines else "; or --columns names the columns in place of the header"
+        is_helped = not (self.lines or self.header.is_chosen)
+        columns = "; or --columns names the columns in place of the header" if is_helped else ""
         raise ValueError(f"{self.first_damage}. {share}: {NO_ROW}{columns}")
 
     def arrays(self) -> tuple[FloatArray, BoolArray, NDArray[np.int64]]:
@@ -234,8 +236,7 @@ class Rows:
         if self.header.separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
         count = len(self.header.columns)
-        while not fields[-1] and (len(fields) > count or fields[-2:-1] == [NO_SCAN]):
-            fields.pop()
+        _trim(fields, count)
         first = min(self.ranges)
         if fields[-1] == NO_SCAN and max(self.needed) < len(fields) - 1 <= first:
             return fields
@@ -257,6 +258,12 @@ class Rows:
             return _finite(field, self.header.columns[self.needed[0]])
         self.has_calendar = True
         return _calendar_seconds(field.decode("ascii", "replace"))
+
+
+def _trim(fields: list[bytes], count: int) -> None:
+    """Remove empty fields after the end of a row of ``count`` columns."""
+    while not fields[-1] and (len(fields) > count or fields[-2:-1] == [NO_SCAN]):
+        fields.pop()
 
 
 def _calendar_seconds(text: str) -> float:
@@ -389,14 +396,17 @@ def _is_row(line: bytes, count: int | None = None) -> bool:
     _, separator = _names(line)
     fields = [field.strip().replace(b",", b".") for field in text.split(separator)]
     numbers = [not field or field == NO_SCAN or is_number(field) for field in fields]
-    if count is not None and len(fields) != count:
-        return False
+    if count is not None:
+        _trim(fields, count)
+        is_silent = len(fields) < count and fields[-1] == NO_SCAN
+        if len(fields) != count and not is_silent:
+            return False
     return len(fields) > 2 and sum(numbers) > 0.5 * len(fields)
 
 
 def _count_of_text(lines: Sequence[tuple[int, bytes]]) -> int:
-    """How many of these lines are neither empty nor remarks."""
-    return sum(bool(line.strip()) and not line.startswith(b"#") for _, line in lines)
+    """How many of these lines are neither empty, separators included, nor remarks."""
+    return sum(bool(line.strip(_BLANK)) and not line.startswith(b"#") for _, line in lines)
 
 
 def _quoted(text: bytes) -> str:

@@ -12,13 +12,10 @@ from limslam_agent.replay.misreading import Misreading
 from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 
-_MOSTLY_NOTHING = (
-    0.95  # share of readings that saw nothing, above which the ranges are probably not in metres
-)
-_SHORTEST_PERIOD, _LONGEST_PERIOD = (
-    1e-3,
-    10.0,
-)  # s: median times between events beyond them are probably not in seconds
+# Share of readings that saw nothing, above which the ranges are probably not in metres
+_MOSTLY_NOTHING = 0.95
+# s: median times between events beyond them are probably not in seconds
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-3, 10.0
 # of the longest range: a smaller largest reading was probably cut off by the sensor itself
 _CLEARLY_BELOW = 0.85
 # Up to this share of readings may see nothing without a reason that all of them have.
@@ -35,14 +32,12 @@ _MOST_TURNS = 4.0
 # a robot with wheels drives along its heading: 1. It is 0 where the heading is in another unit
 _LEAST_ALIGNED = 0.5
 _MOST_NAMED = 5  # times in a warning
-_CLEARLY_FASTER = (
-    1.2  # a wheel with this many times its largest speed on average may have travel in another unit
-)
+# a wheel with this many times its largest speed on average may have travel in another unit
+_CLEARLY_FASTER = 1.2
 # share of readings of the other beams that saw nothing, above which a beam may never see a wall
 _MANY_NOTHING = 0.3
-_LEAST_SPREAD = (
-    0.5  # m: if the middle half of the readings of a beam has a wider range, the robot has moved
-)
+# m: if the middle half of the readings of a beam has a wider range, the robot has moved
+_LEAST_SPREAD = 0.5
 
 
 def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list[str]:
@@ -267,12 +262,15 @@ def _why_no_walls(replay: Replay) -> str:
         return "the log has no readings"
     if share > _MOSTLY_NOTHING:
         return "almost no reading saw anything"
+    if not (log.ranges[log.has_scan] > log.robot.too_near).any():
+        return (
+            "all readings are the shortest ones: are the sensors connected, and what does 0 mean?"
+        )
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"
-    if driven == 0.0:
-        return "by odometry the robot never moves"
     if driven < _LEAST_DRIVEN:
-        return f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
+        little = f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
+        return little if driven else "by odometry the robot never moves"
     return (
         f"the {1.0 - share:.0%} of the readings that saw something do not lie on lines. Are "
         "odometry and ranges in "

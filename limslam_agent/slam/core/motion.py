@@ -282,7 +282,6 @@ def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> 
         limit = f"{robot.max_wheel_speed:g} m/s for {robot.control_period:g} s"
         raise ValueError(
             f"a wheel travels {farthest:.3g} m in one step, but the robot drives at most {limit}: "
-            "wheels must be "
-            "metres since the last observation, not ticks or millimetres"
+            "wheels must be metres since the last observation, not ticks or millimetres"
         )
     _numbers(observation["wheels"], 2, "wheels")

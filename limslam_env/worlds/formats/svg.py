@@ -193,6 +193,8 @@ class _Drawing:
                 segments = parse_path(text)
         except (ValueError, IndexError, TypeError, ArithmeticError, AssertionError) as error:
             raise WorldError(f"{tag} {element.get('id', '')!r} cannot be read: {error}") from error
+        if any(segment.end is None for segment in segments):
+            raise WorldError(f"{tag} {element.get('id', '')!r}: a path begins with M")
         scale = float(np.linalg.norm(place.transform[:2, :2], 2))
         runs: list[list[complex]] = []
         for segment in segments:

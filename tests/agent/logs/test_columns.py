@@ -110,3 +110,12 @@ def test_a_mark_before_a_name_says_that_it_counts_the_other_way():
     assert (column_of("-right").role, column_of("-right").sign) == (Role.RIGHT, -1.0)
     assert (column_of("-yaw_deg").unit, column_of("-yaw_deg").sign) == ("deg", -1.0)
     assert column_of("right").sign == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "degrees"),
+    [("left45", 45.0), ("right_30_mm", -30.0), ("range90deg", 90.0), ("ir-45deg", -45.0)],
+)
+def test_degrees_behind_a_word_are_the_direction(name, degrees):
+    assert column_of(name).role is Role.RANGE
+    assert column_of(name).degrees == degrees

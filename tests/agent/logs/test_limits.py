@@ -29,7 +29,7 @@ def write(tmp_path):
 def test_too_many_columns_are_refused_and_only_chosen_columns_are_stored(write):
     names = ",".join(f"r_{degrees / 100}" for degrees in range(4097))
     path = write(f"t,x,y,theta,{names}\n0,0,0,0{',1' * 4097}\n".encode())
-    assert "has 4097 beams, more than 4096" in refusal(path)
+    assert "4101 columns, more than 4100" in refusal(path)
     path = write(f"t,x,y,theta,{names.rpartition(',')[0]}\n0,0,0,0{',1' * 4096}\n".encode())
     assert read_log(path, (3.0, 5.0)).ranges.shape == (1, 2)
 

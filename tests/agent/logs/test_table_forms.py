@@ -505,3 +505,48 @@ def test_a_wrong_column_ends_the_command_with_one_line(tmp_path):
     assert finished.returncode == 2
     assert "--columns: '-rihgt' is no name of a column" in finished.stderr
     assert finished.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("first_mark", ["", ",-"])
+def test_rows_without_a_header_that_end_with_a_separator_are_all_read(write, first_mark):
+    _, *rows = table({"t": TIME, "left": LEFT, "right": RIGHT}).splitlines()
+    if first_mark:
+        rows[0] = ",".join(rows[0].split(",")[:3]) + first_mark
+    path = write("".join(f"{row},\n" for row in rows))
+    options = TableOptions(robot=ROBOT, columns=("t", "left", "right", *NAMED))
+    log = read_log(path, table=options)
+    assert len(log) == COUNT
+    assert log.has_scan[0] == (not first_mark)
+    assert not log.notes
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("column", ["left", "gyro_z", "qw"])
+def test_numbers_that_overflow_raise_no_warning(write, column):
+    huge = np.where(STEPS % 2, 1.7e308, -1.7e308)
+    columns = {"t": TIME, "left": LEFT, "right": RIGHT, "qx": TIME, "qy": TIME, "qz": TIME}
+    path = write(table({**columns, column: huge}))
+    options = TableOptions(robot=ROBOT, accumulated=True)
+    if column == "left":
+        assert "a wheel travels inf m" in refusal(path, table=options)
+    else:
+        assert len(read_log(path, table=options)) == COUNT
+
+
+def test_a_quaternion_of_zeros_says_no_heading(write):
+    zeros = dict.fromkeys(("qx", "qy", "qz", "qw"), np.zeros(COUNT))
+    path = write(table({"t": TIME, "x": POSES[:, 0], "y": POSES[:, 1], **zeros}))
+    assert "row 0 is no rotation" in refusal(path)
+
+
+def test_a_table_of_too_many_columns_is_refused(write):
+    names = [f"x{number}" for number in range(5000)]
+    path = write(",".join(["t,x,y,theta,r_0", *names]) + "\n")
+    assert "5005 columns, more than 4100" in refusal(path)
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\n"])
+def test_lines_may_end_as_on_any_system(write, end):
+    text = table({"t": TIME, "left": LEFT, "right": RIGHT})
+    log = read_log(write(text.replace("\n", end)), table=TableOptions(robot=ROBOT))
+    assert len(log) == COUNT

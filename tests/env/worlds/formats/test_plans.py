@@ -144,6 +144,7 @@ class TestSvg:
             (svg(""), "no lines that are walls"),
             (svg("<line x2='4000'/>"), "on one line"),
             (svg("<path d='M0 0L5'/>"), "path '' cannot be read"),
+            (svg("<path d='Z'/>"), "a path begins with M"),
             (svg("<line x2='far'/>"), "'far' is no length"),
             (svg("<g transform='turn(3)'><line x2='4'/></g>"), "no transformation"),
             (svg("<path d='M0 0L1e999 5'/>"), "number that is too large"),
