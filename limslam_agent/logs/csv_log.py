@@ -122,6 +122,7 @@ class _Table:
     rows: Rows
     notes: tuple[str, ...]
     readings: tuple[str, ...]
+    names: tuple[str, ...]
 
     @classmethod
     def of(
@@ -167,6 +168,7 @@ class _Table:
             Rows(header, needed, optional, layout.ranges),
             tuple(notes),
             tuple(readings),
+            layout.header(directions),
         )
 
     def log(self) -> RecordedLog:
@@ -210,6 +212,7 @@ class _Table:
             yaw=odometry.yaw,
             notes=found,
             columns=columns,
+            header=self.names,
         )
 
     def _time_unit(self, time: FloatArray) -> tuple[str, list[str]]:

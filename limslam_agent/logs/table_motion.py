@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.logs.columns import Dimension, Role
+from limslam_agent.logs.headings import heading_beside_wheels
 from limslam_agent.logs.table_layout import Form, Layout
 from limslam_agent.logs.table_options import TableOptions, scale
 from limslam_env.geometry import FloatArray, se2
@@ -19,10 +20,6 @@ _SPEEDS = {Dimension.SPEED, Dimension.TURN_RATE}
 # rad/s: a robot that turns faster for more than one row in twenty has its heading in degrees
 _FASTEST_TURN = 2.0 * np.pi
 _FULL_TURN = 6.6  # headings in radians that lie farther apart than this are not wrapped
-_LEAST_TURNED = 1.0  # rad by the wheels, below which nothing can be said about another heading
-# A heading follows the wheels if it turns by their turn within this factor, and correlates.
-_LARGEST_FACTOR = 2.5
-_LEAST_CORRELATION = 0.5
 
 
 @dataclass(frozen=True)
@@ -259,21 +256,12 @@ class _Conversion:
             rate = "/s" if role is Role.YAW_RATE else ""
             units = (f"rad{rate}", f"deg{rate}") if known is None else (known,)
             choices = {unit: self._integrated(role, unit) for unit in units}
-        unit, factor = _best(choices, turns)
-        if unit is None:
-            self.notes.append(
-                f"the heading in {name} does not follow the turns by the wheels, and is left out"
-            )
-            return None
-        if unit:
-            self.units[role] = unit
-        if factor < 0.0:
-            self.notes.append(
-                f"the heading in {name} counts against the turns by the wheels, and is read the "
-                f"other way: -{role} in --columns says so, or left and right are exchanged"
-            )
-        yaw = float(np.copysign(1.0, factor)) * choices[unit]
-        return np.where(np.isfinite(yaw), se2.wrap_angle(yaw), np.nan)
+        remedy = f", which -{role} in --columns says"
+        found = heading_beside_wheels(choices, turns, name, remedy)
+        self.notes.extend(found.notes)
+        if found.unit:
+            self.units[role] = found.unit
+        return found.yaw
 
     def _integrated(self, role: Role, unit: str) -> FloatArray:
         """A heading (n,), rad, from a column of headings or of turn rates in a unit."""
@@ -297,28 +285,6 @@ class _Conversion:
         if unused:
             are = "are" if len(unused) > 1 else "is"
             self.notes.append(f"the columns hold speeds, so {' and '.join(unused)} {are} not used")
-
-
-def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | None, float]:
-    """The unit in which a heading follows the turns (n,) by the wheels, rad, and by which factor.
-    None if there is none.
-    """
-    if np.abs(turns).sum() < _LEAST_TURNED:
-        first, *others = choices
-        is_wide = bool(others) and float(np.ptp(np.nan_to_num(choices[first]))) > _FULL_TURN
-        return (others[0] if is_wide else first), 1.0
-    best, factor, correlation = None, 1.0, _LEAST_CORRELATION
-    by_wheels = np.cumsum(turns)
-    for unit, heading in choices.items():
-        is_there = np.isfinite(heading)
-        turned = se2.wrap_angle(np.diff(heading[is_there]))
-        expected = np.diff(by_wheels[is_there])
-        together = float(turned @ expected)
-        slope = together / max(float(expected @ expected), 1e-12)
-        found = abs(together) / max(float(np.linalg.norm(turned) * np.linalg.norm(expected)), 1e-12)
-        if found >= correlation and 1.0 / _LARGEST_FACTOR <= abs(slope) <= _LARGEST_FACTOR:
-            best, factor, correlation = unit, slope, found
-    return best, factor
 
 
 def _yaw_of(quaternion: list[FloatArray]) -> FloatArray:

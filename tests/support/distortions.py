@@ -112,10 +112,11 @@ class Sheet:
         Further options of the command line that a user would give.
     words
         A message that holds one of these names the cause.
-    is_to_be_named
-        Whether the cause has to be named, and a good map alone is not the expected outcome.
-    mend
-        Options that make a log right whose cause was named; none if there are no such options.
+    cause
+        Words of the message that has to name the cause, where a good map alone is not the expected
+        outcome. Empty where it is.
+    can_be_mended
+        Whether an option makes a log right whose cause was named.
     seed
         Of what the writer draws.
     """
@@ -144,8 +145,8 @@ class Sheet:
     axle: float | None = None
     options: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
-    is_to_be_named: bool = False
-    mend: tuple[str, ...] = ()
+    cause: str = ""
+    can_be_mended: bool = False
     seed: int = 0
 
 
@@ -480,30 +481,16 @@ def _odometry(form: str, words: tuple[str, ...] = ()) -> Distortion:
     return apply
 
 
-def _wired(matrix: list[list[float]], names: tuple[str, str], words: tuple[str, ...]) -> Distortion:
-    """Wheels that are wired otherwise. ``names`` are the columns left and right, put right."""
-
-    def apply(sheet: Sheet, _: np.random.Generator) -> Sheet:
-        degrees = [round(float(each)) for each in np.degrees(sheet.drive.robot.beam_angles)]
-        columns = ",".join(["t", *names, *(f"r_{each}" for each in degrees)])
-        return replace(
-            sheet,
-            wires=np.array(matrix),
-            words=words,
-            is_to_be_named=True,
-            mend=("--columns", columns),
-        )
-
-    return apply
+def _wired(matrix: list[list[float]], cause: str) -> Distortion:
+    """Wheels that are wired otherwise."""
+    return _changing(wires=np.array(matrix), cause=cause, can_be_mended=True)
 
 
 def _ticks_wrong(factor: float) -> Distortion:
-    return lambda sheet, _: replace(
-        sheet,
+    return _changing(
         metres_per_tick=factor * METRES_PER_TICK,
-        words=("--metres-per-tick",),
-        is_to_be_named=True,
-        mend=("--metres-per-tick", f"{METRES_PER_TICK:g}"),
+        cause="--metres-per-tick",
+        can_be_mended=True,
     )
 
 
@@ -511,14 +498,13 @@ def _axle_wrong(factor: float) -> Distortion:
     return lambda sheet, _: replace(
         sheet,
         axle=factor * sheet.drive.robot.axle,
-        words=("--axle",),
-        is_to_be_named=True,
-        mend=("--axle", f"{sheet.drive.robot.axle:g}"),
+        cause="--axle",
+        can_be_mended=True,
     )
 
 
 def _jump(sheet: Sheet, _: np.random.Generator) -> Sheet:
-    return replace(sheet, odometry="poses_after_reset", words=("jump",), is_to_be_named=True)
+    return replace(sheet, odometry="poses_after_reset", cause="jump")
 
 
 _MISSING = ("missing", "no reading")
@@ -532,7 +518,7 @@ def _kind(apply: Distortion, *changes: str) -> Kind:
     return Kind(apply, frozenset(changes))
 
 
-_OF_WIRES = ("wiring", "odometry", "columns", "units", "damage")
+_OF_WIRES = ("wiring", "odometry")
 
 KINDS: dict[str, Kind] = {
     "nothing_nan": _nothing_as("NaN"),
@@ -568,16 +554,16 @@ KINDS: dict[str, Kind] = {
     "power_off": _kind(_changing(damage="power_off"), "damage"),
     "late_rows": _kind(_changing(damage="late"), "damage"),
     "right_backwards": _kind(
-        _wired([[1.0, 0.0], [0.0, -1.0]], ("left", "-right"), ("-right",)), *_OF_WIRES
+        _wired([[1.0, 0.0], [0.0, -1.0]], "the right wheel counts the other way"), *_OF_WIRES
     ),
     "left_backwards": _kind(
-        _wired([[-1.0, 0.0], [0.0, 1.0]], ("-left", "right"), ("-left",)), *_OF_WIRES
+        _wired([[-1.0, 0.0], [0.0, 1.0]], "the left wheel counts the other way"), *_OF_WIRES
     ),
     "both_backwards": _kind(
-        _wired([[-1.0, 0.0], [0.0, -1.0]], ("-left", "-right"), ("-left,-right",)), *_OF_WIRES
+        _wired([[-1.0, 0.0], [0.0, -1.0]], "both wheels count the other way"), *_OF_WIRES
     ),
     "exchanged": _kind(
-        _wired([[0.0, 1.0], [1.0, 0.0]], ("right", "left"), ("right,left",)), *_OF_WIRES
+        _wired([[0.0, 1.0], [1.0, 0.0]], "left and right are exchanged"), *_OF_WIRES
     ),
     "ticks_halved": _kind(_ticks_wrong(0.5), *_OF_WIRES),
     "ticks_doubled": _kind(_ticks_wrong(2.0), *_OF_WIRES),
