@@ -9,10 +9,10 @@ readings that end at a surface of the other part of a short stretch, of all read
 such a surface or pass through it. The score is symmetric in both parts, so that a path which is too
 short has no advantage over one which is too long.
 
-On 70 simulated drives with slips, carpet, wheels that differ by 5 %, missing readings and
-kidnapping the score of the right reading is 0.33 to 0.97, and no other reading leads by more than
-0.01. On ``csail`` and ``fr079`` it is 0.6 with four to six beams, and 0.1 to 0.3 for logs that were
-read wrongly.
+Only stretches in which two readings differ say which of them is right: a wrong axle shows in turns.
+On 70 simulated drives of a minute, with slips, wheels and axles that are wrong by up to 5 %,
+missing readings and coarse encoders, the right reading is never doubted. A fault of the wheels is
+found on 30 of 30 drives, one of the size of ticks on 59 of 60, and one of the axle on 55 of 60.
 """
 
 import math
