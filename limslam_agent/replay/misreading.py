@@ -37,7 +37,7 @@ _BESIDE, _TOLERANCE = 0.05, 0.12
 _USUAL_RANGE = 1.0  # m, of a reading, whose end a turn moves
 # Another reading is better if its mean score leads by this, and by so many standard errors of the
 # difference. It is certain with the larger numbers.
-_LEAST_LEAD, _LEAST_SIGMAS = 0.08, 2.5
+_LEAST_LEAD, _LEAST_SIGMAS = 0.08, 1.8
 _CERTAIN_LEAD, _CERTAIN_SIGMAS = 0.12, 4.0
 
 _SIDES = (Role.LEFT, Role.RIGHT)
