@@ -173,6 +173,37 @@ def test_a_bad_header_is_refused(write, head, words):
 # Which reader
 
 
+def test_empty_fields_at_either_end_of_a_line_stay_with_tabs(write):
+    commas = "".join(
+        f"{end},{0.1 * row:.1f},0.01,0.01,{end},1.2,{end},{end}\n"
+        for row, end in enumerate(["1.5", "", "", "1.4", ""] * 4)
+    )
+    names = "r_90,t,left,right,r_45,r_0,r_-45,r_-90"
+    robot = RobotSpec(beams=beams_on_rim((90.0, 45.0, 0.0, -45.0, -90.0), 0.1))
+    expected = read_log(write(f"{names}\n{commas}", "commas.csv"), table=TableOptions(robot))
+    rows = commas.replace(",", "\t")
+    header = names.replace(",", "\t")
+    chosen = TableOptions(robot, columns=tuple(names.split(",")))
+    for text, options in (
+        (f"{header}\n{rows}", TableOptions(robot)),
+        (rows, chosen),
+        (f"{header}\n{rows}", chosen),
+        (f"{header}\t\r\n{rows}".replace("\t", " \t "), TableOptions(robot)),
+    ):
+        log = read_log(write(text, "tabs.csv"), table=options)
+        np.testing.assert_array_equal(log.reported, expected.reported)
+        assert log.notes == expected.notes
+
+
+def test_an_index_without_a_name_is_a_column_that_is_not_used(write):
+    rows = [f"{row}\t{0.1 * row:.1f}\t0.01\t0.01\t1.2\t" for row in range(20)]
+    text = "\n".join(["\tt\tleft\tright\tr_90\tr_-90", *rows]) + "\n"
+    robot = RobotSpec(beams=beams_on_rim((90.0, -90.0), 0.1))
+    log = read_log(write(text), table=TableOptions(robot))
+    np.testing.assert_allclose(log.time, 0.1 * np.arange(20))
+    assert log.notes == ()
+
+
 def test_other_texts_are_no_tables(write):
     assert "has no odometry: no ODOM or FLASER line of CARMEN, nor, as a table" in refusal(
         write("# a note\n", "carmen.log")
