@@ -138,12 +138,14 @@ def settled(
         raise ValueError(f"--missing must be one of {', '.join(MEANINGS)}, not {missing!r}")
     values = np.array(reported, dtype=np.float64)
     notes = []
-    for kind in _kinds(values[has_scan], robot):
+    # A row without any reading may stand between two scans, and says nothing of missing readings.
+    rows = has_scan if missing != "auto" else has_scan & ~np.isnan(values).all(axis=1)
+    for kind in _kinds(values[rows], robot):
         meaning, note = (missing, "") if missing != "auto" else _decided(kind, robot)
         notes.append(note)
         if meaning:
             value = math.inf if meaning == "nothing" else math.nan
-            values[has_scan] = np.where(kind.mask, value, values[has_scan])
+            values[rows] = np.where(kind.mask, value, values[rows])
     readings = as_readings(values, robot.min_ranges, robot.max_ranges)
     repeated, note = _repeated(readings, has_scan, robot, moved)
     readings[repeated] = math.nan

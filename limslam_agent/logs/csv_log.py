@@ -292,6 +292,9 @@ class _Table:
                 f"{counted(self.rows.damaged, 'damaged line')} {were} left out: "
                 f"{first}{self.rows.first_damage}"
             )
+        if self.rows.repeated:
+            lines = counted(self.rows.repeated, "line")
+            notes.append(f"{lines} repeated the line before, and count once")
         unused = self.layout.unused
         if unused:
             more = f" and {len(unused) - _MOST_IGNORED} more" if len(unused) > _MOST_IGNORED else ""

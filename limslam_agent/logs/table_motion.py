@@ -19,6 +19,7 @@ _QUATERNION = (Role.QX, Role.QY, Role.QZ, Role.QW)
 _SPEEDS = {Dimension.SPEED, Dimension.TURN_RATE}
 # rad/s: a robot that turns faster for more than one row in twenty has its heading in degrees
 _FASTEST_TURN = 2.0 * np.pi
+_MOST_NAMED = 5  # times in a note
 _FULL_TURN = 6.6  # headings in radians that lie farther apart than this are not wrapped
 
 
@@ -98,7 +99,7 @@ class _Conversion:
         options: TableOptions,
     ) -> None:
         self.layout, self.values, self.options = layout, values, options
-        self.period = period
+        self.period, self.time = period, time
         self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
         self.units: dict[Role, str] = {}
         self.notes: list[str] = []
@@ -160,7 +161,15 @@ class _Conversion:
                 f"{columns[0].unit}"
             )
         counters = np.column_stack([self.values[role] for role in _WHEELS])
-        return self.options.travel(counters, metres, robot.max_wheel_speed, self.period)
+        travel, restarts = self.options.travel(counters, metres, robot.max_wheel_speed, self.period)
+        if len(restarts):
+            when = ", ".join(f"{self.time[row]:.1f} s" for row in restarts[:_MOST_NAMED])
+            more = ", ..." if len(restarts) > _MOST_NAMED else ""
+            self.notes.append(
+                f"the counters of the wheels begin again at 0 at {when}{more}, as of a board that "
+                "was switched on again: how the robot moved there is not known"
+            )
+        return travel
 
     def _wheel_speed(self, role: Role) -> FloatArray:
         """Speed of a wheel (n,), m/s."""

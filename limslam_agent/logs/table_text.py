@@ -38,7 +38,7 @@ NO_ROW = "delete the line if it is no row of the table, or begin it with #"
 _HEADER_WITHIN = 1000  # lines
 _MOST_BYTES = 1 << 22  # in which the header is looked for
 _COMPLETE = 3  # kinds of columns of a header that names all that is needed
-_NO_READING = {b"null", b"none", b"na", b"n/a", b"nil", b"--"}
+_DIGIT = re.compile(rb"\d")
 _UNIT = "|".join(map(re.escape, (unit for units in UNITS.values() for unit in units)))
 _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
@@ -169,11 +169,16 @@ class Rows:
         self.damaged = 0
         self.is_cut = False
         self.first_damage = ""
+        self.repeated = 0
+        self.previous = b""
 
     def add(self, number: int, line: bytes) -> None:
         """Process one line after the header."""
         text = _text_of(line)
         if not text.strip() or text.startswith(b"#") or text == self.header.text:
+            return
+        if text == self.previous:
+            self.repeated += 1
             return
         try:
             values, has_scan = self._values(text)
@@ -181,6 +186,7 @@ class Rows:
             self.is_cut = not line.endswith(b"\n")
             self.add_damage(f"line {number}: {error}, in {_quoted(text)}")
             return
+        self.previous = text
         self.values.extend(values)
         self.has_scan.append(has_scan)
         self.lines.append(number)
@@ -289,12 +295,14 @@ def _finite(field: bytes, column: Column) -> float:
 
 
 def _reading(field: bytes) -> float:
-    """A number that may be missing: NaN where the field is empty."""
-    if not field or field == NO_SCAN or field.lower() in _NO_READING:
-        return math.nan
+    """A number that may be missing: NaN where the field is empty, or is a word such as ``null`` or
+    ``out of range``.
+    """
     try:
-        return float(field)
+        return float(field or b"nan")
     except ValueError:
+        if not _DIGIT.search(field):
+            return math.nan
         shown = field.decode("ascii", "replace")[:40]
         raise ValueError(
             f"a range is not a number: {shown!r}; an empty field or nan is no reading"

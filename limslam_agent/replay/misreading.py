@@ -37,8 +37,8 @@ _BESIDE, _TOLERANCE = 0.05, 0.12
 _USUAL_RANGE = 1.0  # m, of a reading, whose end a turn moves
 # Another reading is better if its mean score leads by this, and by so many standard errors of the
 # difference. It is certain with the larger numbers.
-_LEAST_LEAD, _LEAST_SIGMAS = 0.08, 1.8
-_CERTAIN_LEAD, _CERTAIN_SIGMAS = 0.12, 4.0
+_LEAST_LEAD, _LEAST_SIGMAS = 0.08, 2.2
+_CERTAIN_LEAD, _CERTAIN_SIGMAS = 0.15, 5.0
 
 _SIDES = (Role.LEFT, Role.RIGHT)
 _FORWARD = {Role.SPEED, Role.DISTANCE}
@@ -104,10 +104,11 @@ class _Wiring:
         distance and turn stays as it is if no signs of these mend it.
         """
         by_motion = _MOTION @ np.array((self.left, self.right)) @ np.linalg.inv(_MOTION)
-        is_signs = not (by_motion[0, 1] or by_motion[1, 0])
+        columns = [column_of(name) for name in header]
+        has_wheels = any(column.role in _SIDES for column in columns)
+        is_signs = not (has_wheels or by_motion[0, 1] or by_motion[1, 0])
         names = []
-        for name in header:
-            column = column_of(name)
+        for name, column in zip(header, columns, strict=True):
             bare, factor = name, 1.0
             if column.role in _SIDES:
                 factors = [side[_SIDES.index(column.role)] for side in (self.left, self.right)]

@@ -398,7 +398,7 @@ def test_text_before_the_header_is_skipped_and_counted(write):
         ("WiFi: connected", "1 column where the header names 7, in 'WiFi: connected'"),
         ("4.9,0.01,0.0x1,1,1,1,1", "right is not a number: '0.0x1'"),
         ("4.9,nan,0.01,1,1,1,1", "left is nan, not a finite number"),
-        ("4.9,0.01,0.01,1,1,1,OOR", "a range is not a number: 'OOR'"),
+        ("4.9,0.01,0.01,1,1,1,1.5.2", "a range is not a number: '1.5.2'"),
         ("490000,0.01,0.01,1,1,1,1", "its time or its motion is impossible"),
         ("-490,0.01,0.01,1,1,1,1", "its time or its motion is impossible"),
         ("4.9,812,0.01,1,1,1,1", "its time or its motion is impossible"),
