@@ -199,6 +199,7 @@ class _Table:
                 robot,
                 notes=found,
                 columns=columns,
+                header=self.names,
             )
         robot = replace(robot or RobotSpec(), beams=self.beams, control_period=median_spacing(time))
         if odometry.wheels is not None:

@@ -91,9 +91,10 @@ def pose_log(
     notes: Sequence[str] = (),
     gaps: Sequence[int] = (),
     columns: tuple[str, ...] = (),
+    header: tuple[str, ...] = (),
 ) -> RecordedLog:
-    """The log of a robot that recorded poses. Its arrays, the notes and the columns are as in a
-    :class:`RecordedLog`.
+    """The log of a robot that recorded poses. Its arrays, the notes, the columns and the header are
+    as in a :class:`RecordedLog`.
 
     The headings of ``odometry`` may include full turns. Single poses that are off the path are
     replaced. Of a robot that is not described only a
@@ -119,6 +120,7 @@ def pose_log(
         notes=(*notes, *excursions_in_words(time, off)),
         gaps=tuple(gaps),
         columns=columns,
+        header=header,
     )
 
 

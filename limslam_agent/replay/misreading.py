@@ -199,8 +199,32 @@ def misread(log: RecordedLog, metres_per_tick: float = 1.0) -> Misreading | None
     found = _best([odometry, *others], log, _stretches(travel))
     if found is None:
         return None
-    question = list(_OF_POSES)[found.place - 1]
-    return Misreading(f"the ranges fit odometry better {question}", is_certain=False)
+    question, (signs, _) = list(_OF_POSES.items())[found.place - 1]
+    words = f"the ranges fit odometry better {question}"
+    remedy = _remedy("", log.header, _signed(log, signs))
+    return Misreading(words + remedy, is_certain=False)
+
+
+def _signed(log: RecordedLog, signs: Sequence[float]) -> list[str]:
+    """The names of the columns of a table of poses with other signs of x, y and heading. They stay
+    as they are if the heading has no column of its own.
+    """
+    roles = [column_of(name).role for name in log.header]
+    if not {Role.HEADING, Role.YAW}.intersection(roles):
+        return list(log.header)
+    sign_of = dict(zip((Role.X, Role.Y, Role.HEADING), signs, strict=True))
+    sign_of[Role.YAW] = signs[2]
+    return [
+        _turned(name) if role is not None and sign_of.get(role, 1.0) < 0.0 else name
+        for name, role in zip(log.header, roles, strict=True)
+    ]
+
+
+def _remedy(mark: str, header: Sequence[str], names: Sequence[str]) -> str:
+    """What reads a table with other names of its columns, after a mark."""
+    if names == list(header):
+        return ""
+    return f"{mark} --columns {','.join(names)} reads the table so"
 
 
 def _misread_wheels(
@@ -212,10 +236,8 @@ def _misread_wheels(
         return None
     wiring = _WIRINGS[found.place]
     if wiring.words:
-        words = f"the ranges fit the wheels far better if {wiring.words}"
-        names = wiring.renamed(log.header)
-        if names != list(log.header):
-            words += f": --columns {','.join(names)} reads the table so"
+        remedy = _remedy(":", log.header, wiring.renamed(log.header))
+        words = f"the ranges fit the wheels far better if {wiring.words}{remedy}"
         return Misreading(words, found.is_certain)
     is_tick = wiring.tick != 1.0
     size = wiring.tick if is_tick else wiring.axle

@@ -142,6 +142,24 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     assert all(said in warning for warning in warnings)
 
 
+@pytest.mark.parametrize(
+    ("factors", "order", "header", "said"),
+    [
+        ((1.0, 1.0, -1.0), 1, "x_mm,y,theta,t", "--columns x_mm,y,-theta,t reads the table so"),
+        ((1.0, -1.0, 1.0), 1, "t,x,-y,yaw", "--columns t,x,y,yaw reads the table so"),
+        ((1.0, 1.0, 1.0), -1, "t,x,y,theta", "--columns t,x,-y,-theta reads the table so"),
+        ((1.0, 1.0, -1.0), 1, "t,x,y,qx,qy,qz,qw", "does the heading of odometry count clockwise?"),
+    ],
+)
+def test_what_mends_a_table_of_poses_is_said_in_its_own_columns(laps, factors, order, header, said):
+    odometry, ranges = laps.odometry * np.array(factors), laps.ranges[:, ::order].copy()
+    found = misread(
+        replace(laps, odometry=odometry, ranges=ranges, header=tuple(header.split(",")))
+    )
+    assert found is not None
+    assert found.words.endswith(said)
+
+
 @functools.cache
 def rounds():
     """Ranges and wheel travel of three rounds through a ring of corridors."""
