@@ -109,15 +109,16 @@ class _Wiring:
         is_signs = not (has_wheels or by_motion[0, 1] or by_motion[1, 0])
         names = []
         for name, column in zip(header, columns, strict=True):
-            bare, factor = name, 1.0
+            true_name, factor = name, 1.0
             if column.role in _SIDES:
-                factors = [side[_SIDES.index(column.role)] for side in (self.left, self.right)]
-                side = int(factors[0] == 0.0)
-                factor = factors[side]
-                bare = name.replace(column.role, _SIDES[side])
+                place = _SIDES.index(column.role)
+                factors = self.left[place], self.right[place]
+                true_side = int(factors[0] == 0.0)
+                factor = factors[true_side]
+                true_name = name.replace(column.role, _SIDES[true_side])
             elif column.role in _MOTIONS and is_signs:
                 factor = np.diag(by_motion)[int(column.role not in _FORWARD)]
-            names.append(_turned(bare) if factor < 0.0 else bare)
+            names.append(_turned(true_name) if factor < 0.0 else true_name)
         return names
 
 
@@ -293,10 +294,9 @@ def _best(
     leads = []
     for path in others:
         counts = _counts(path, log, stretches)
-        is_told = _differ(first, path, stretches) & (counts[:, 1] > 0) & (counts_of_first[:, 1] > 0)
-        shares, of_first = (
-            each[is_told, 0] / each[is_told, 1] for each in (counts, counts_of_first)
-        )
+        is_met = (counts[:, 1] > 0.0) & (counts_of_first[:, 1] > 0.0)
+        rows = is_met & _differ(first, path, stretches)
+        shares, of_first = (each[rows, 0] / each[rows, 1] for each in (counts, counts_of_first))
         leads.append(shares - of_first)
     place = int(np.argmax([each.sum() for each in leads]))
     found = leads[place]
@@ -346,13 +346,13 @@ def _stretches(travel: FloatArray) -> list[_Stretch]:
 def _differ(first: FloatArray, path: FloatArray, stretches: list["_Stretch"]) -> BoolArray:
     """In which stretches (s,) the readings show which of two paths (n, 3) the robot has driven."""
     borders = np.array(stretches, dtype=np.int64).reshape(-1, 3)
-    is_told: BoolArray = np.zeros(len(borders), dtype=np.bool_)
+    is_apart: BoolArray = np.zeros(len(borders), dtype=np.bool_)
     for ends in (borders[:, 0], borders[:, 2]):
         one, other = (se2.between(each[borders[:, 1]], each[ends]) for each in (first, path))
         apart = np.abs(one - other)
         turned = np.abs(se2.wrap_angle(one[:, 2] - other[:, 2]))
-        is_told |= np.hypot(apart[:, 0], apart[:, 1]) + _USUAL_RANGE * turned > _TOLERANCE
-    return is_told
+        is_apart |= np.hypot(apart[:, 0], apart[:, 1]) + _USUAL_RANGE * turned > _TOLERANCE
+    return is_apart
 
 
 def _counts(path: FloatArray, log: RecordedLog, stretches: list[_Stretch]) -> FloatArray:

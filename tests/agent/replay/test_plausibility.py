@@ -332,6 +332,10 @@ def test_the_command_stops_at_wheels_that_are_certainly_misread(tmp_path):
     finished = limslam(*command, "--as-read", "--out", tmp_path / "out")
     assert finished.returncode == 0
     assert "the right wheel counts the other way" in finished.stderr
+    columns = message.partition("--columns ")[2].split()[0]
+    mended = limslam(*command, "--columns", columns, "--dry-run")
+    assert mended.returncode == 0
+    assert "far better" not in mended.stderr
 
 
 def test_the_named_axle_mends_a_table(tmp_path):
