@@ -138,12 +138,17 @@ def settled(
         raise ValueError(f"--missing must be one of {', '.join(MEANINGS)}, not {missing!r}")
     values = np.array(reported, dtype=np.float64)
     notes = []
-    for kind in _kinds(values[has_scan], robot):
+    # A row without any reading may stand between two scans, and says nothing of missing readings.
+    is_empty = has_scan & np.isnan(values).all(axis=1)
+    rows = has_scan if missing != "auto" else has_scan & ~is_empty
+    for kind in _kinds(values[rows], robot):
         meaning, note = (missing, "") if missing != "auto" else _decided(kind, robot)
         notes.append(note)
         if meaning:
             value = math.inf if meaning == "nothing" else math.nan
-            values[has_scan] = np.where(kind.mask, value, values[has_scan])
+            values[rows] = np.where(kind.mask, value, values[rows])
+    if missing == "auto" and _saw_nothing(is_empty[has_scan], values[has_scan], robot):
+        values[is_empty] = math.inf
     readings = as_readings(values, robot.min_ranges, robot.max_ranges)
     repeated, note = _repeated(readings, has_scan, robot, moved)
     readings[repeated] = math.nan
@@ -188,6 +193,13 @@ def _decided(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:
     if meaning == "nothing":
         return meaning, f"{text} 'nothing seen'; --missing not-measured leaves them out"
     return meaning, f"{text} not measured; --missing nothing takes them for 'nothing seen'"
+
+
+def _saw_nothing(is_empty: BoolArray, values: FloatArray, robot: RobotSpec) -> bool:
+    """Whether rows (m,) without any reading among values (m, n_beams), m, saw nothing."""
+    mask = np.broadcast_to(is_empty[:, None], values.shape)
+    readings = as_readings(values, robot.min_ranges, robot.max_ranges)
+    return _meaning(_Kind("", mask, readings, "not-measured"), robot)[0] == "nothing"
 
 
 def _meaning(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:

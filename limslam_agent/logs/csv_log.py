@@ -124,6 +124,7 @@ class _Table:
     rows: Rows
     notes: tuple[str, ...]
     readings: tuple[str, ...]
+    names: tuple[str, ...]
 
     @classmethod
     def of(
@@ -169,6 +170,7 @@ class _Table:
             Rows(header, needed, optional, layout.ranges),
             tuple(notes),
             tuple(readings),
+            layout.header(directions),
         )
 
     def log(self) -> RecordedLog:
@@ -199,6 +201,7 @@ class _Table:
                 robot,
                 notes=found,
                 columns=columns,
+                header=self.names,
             )
         robot = replace(robot or RobotSpec(), beams=self.beams, control_period=median_spacing(time))
         if odometry.wheels is not None:
@@ -212,6 +215,7 @@ class _Table:
             yaw=odometry.yaw,
             notes=found,
             columns=columns,
+            header=self.names,
         )
 
     def _time_unit(self, time: FloatArray) -> tuple[str, list[str]]:
@@ -291,6 +295,9 @@ class _Table:
                 f"{counted(self.rows.damaged, 'damaged line')} {were} left out: "
                 f"{first}{self.rows.first_damage}"
             )
+        if self.rows.repeated:
+            lines = counted(self.rows.repeated, "line")
+            notes.append(f"{lines} repeated the line before, and count once")
         unused = self.layout.unused
         if unused:
             more = f" and {len(unused) - _MOST_IGNORED} more" if len(unused) > _MOST_IGNORED else ""

@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 from limslam_agent.logs.carmen import read_carmen
 from limslam_agent.logs.csv_log import is_csv, read_csv
-from limslam_agent.logs.headings import with_believable_heading
+from limslam_agent.logs.headings import with_heading_beside_wheels
 from limslam_agent.logs.pose_log import DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import (
     ZIP_MAGIC,
@@ -97,13 +97,13 @@ def _as_reported(
             chosen = "beams" if beams_deg is not None else "largest range"
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
         _refuse_options(path, table)
-        return with_believable_heading(read_npz(path))
+        return with_heading_beside_wheels(read_npz(path))
     if (
         fspath(path).endswith(_TEXT_ENDINGS)
         or (table is not None and table.columns)
         or is_csv(path)
     ):
-        return with_believable_heading(read_csv(path, beams_deg, max_range, table))
+        return read_csv(path, beams_deg, max_range, table)
     _refuse_options(path, table)
     return read_carmen(path, beams_deg, reach)
 

@@ -95,9 +95,10 @@ def pose_log(
     notes: Sequence[str] = (),
     gaps: Sequence[int] = (),
     columns: tuple[str, ...] = (),
+    header: tuple[str, ...] = (),
 ) -> RecordedLog:
-    """The log of a robot that recorded poses. Its arrays, the notes and the columns are as in a
-    :class:`RecordedLog`.
+    """The log of a robot that recorded poses. Its arrays, the notes, the columns and the header are
+    as in a :class:`RecordedLog`.
 
     The headings of ``odometry`` may include full turns. Single poses that are off the path are
     replaced. Of a robot that is not described only a radius of 0.2 m is assumed. The frame of the
@@ -122,6 +123,7 @@ def pose_log(
         notes=(*notes, *excursions_in_words(time, off)),
         gaps=tuple(gaps),
         columns=columns,
+        header=header,
     )
 
 

@@ -106,6 +106,8 @@ class RecordedLog:
         The motions that the odometry poses do not tell: jumps and gaps.
     columns
         How each column of a table was read, a line each.
+    header
+        The names that ``--columns`` has for the columns of a table, in its order.
     missing
         What missing readings mean, one of ``limslam_agent.readings.MEANINGS``.
     reported
@@ -134,6 +136,7 @@ class RecordedLog:
     notes: tuple[str, ...] = ()
     gaps: tuple[int, ...] = ()
     columns: tuple[str, ...] = ()
+    header: tuple[str, ...] = ()
     missing: str = "auto"
     breaks: tuple[OdometryBreak, ...] = field(init=False, default=())
     reported: NDArray[Any] = field(init=False)

@@ -82,6 +82,17 @@ class Layout:
             if place not in used and each.name not in ("", NOT_USED)
         ]
 
+    def header(self, directions: Sequence[float]) -> tuple[str, ...]:
+        """The names that ``--columns`` has for the columns, of which the ranges have these
+        directions, deg.
+        """
+        names = [NOT_USED] * len(self.columns)
+        for place in self.places.values():
+            names[place] = _canonical(self.columns[place])
+        for place, degrees in zip(self.ranges, directions, strict=True):
+            names[place] = _canonical(replace(self.columns[place], degrees=round(degrees, 1)))
+        return tuple(names)
+
 
 def columns_of(names: Sequence[str]) -> tuple[Column, ...]:
     """What the columns of these names hold. ``...`` stands for directions in equal steps."""

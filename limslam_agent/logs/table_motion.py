@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.logs.columns import Dimension, Role
+from limslam_agent.logs.headings import heading_beside_wheels
 from limslam_agent.logs.table_layout import Form, Layout
 from limslam_agent.logs.table_options import TableOptions, scale
 from limslam_env.geometry import FloatArray, se2
@@ -18,14 +19,8 @@ _QUATERNION = (Role.QX, Role.QY, Role.QZ, Role.QW)
 _SPEEDS = {Dimension.SPEED, Dimension.TURN_RATE}
 # rad/s: a robot that turns faster for more than one row in twenty has its heading in degrees
 _FASTEST_TURN = 2.0 * np.pi
+_MOST_NAMED = 5  # times in a note
 _FULL_TURN = 6.6  # headings in radians that lie farther apart than this are not wrapped
-_LEAST_TURNED = 1.0  # rad by the wheels, below which nothing can be said about another heading
-# A heading follows the wheels if it turns by their turn within this factor, and correlates.
-_LARGEST_FACTOR = 2.5
-_LEAST_CORRELATION = 0.5
-# rad: by the wheels, after which a heading that was measured differs from them by more than this,
-# which is more than headings are rounded by
-_TURNED_TO_DIFFER, _NO_DIFFERENCE = 20.0, 0.03
 
 
 @dataclass(frozen=True)
@@ -104,7 +99,7 @@ class _Conversion:
         options: TableOptions,
     ) -> None:
         self.layout, self.values, self.options = layout, values, options
-        self.period = period
+        self.period, self.time = period, time
         self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
         self.units: dict[Role, str] = {}
         self.notes: list[str] = []
@@ -166,7 +161,15 @@ class _Conversion:
                 f"{columns[0].unit}"
             )
         counters = np.column_stack([self.values[role] for role in _WHEELS])
-        return self.options.travel(counters, metres, robot.max_wheel_speed, self.period)
+        travel, restarts = self.options.travel(counters, metres, robot.max_wheel_speed, self.period)
+        if len(restarts):
+            when = ", ".join(f"{self.time[row]:.1f} s" for row in restarts[:_MOST_NAMED])
+            more = ", ..." if len(restarts) > _MOST_NAMED else ""
+            self.notes.append(
+                f"the counters of the wheels begin again at 0 at {when}{more}, as of a board that "
+                "was switched on again: how the robot moved there is not known"
+            )
+        return travel
 
     def _wheel_speed(self, role: Role) -> FloatArray:
         """Speed of a wheel (n,), m/s."""
@@ -266,27 +269,12 @@ class _Conversion:
             rate = "/s" if role is Role.YAW_RATE else ""
             units = (f"rad{rate}", f"deg{rate}") if known is None else (known,)
             choices = {unit: self._integrated(role, unit) for unit in units}
-        unit, factor = _best(choices, turns)
-        if unit is None:
-            self.notes.append(
-                f"the heading in {name} does not follow the turns by the wheels, and is left out"
-            )
-            return None
-        if unit:
-            self.units[role] = unit
-        if _follows(choices[unit], turns):
-            self.notes.append(
-                f"the heading in {name} is left out: it never differs from that of the wheels, "
-                "so it was calculated from them"
-            )
-            return None
-        if factor < 0.0:
-            self.notes.append(
-                f"the heading in {name} counts against the turns by the wheels, and is read the "
-                f"other way: -{role} in --columns says so, or left and right are exchanged"
-            )
-        yaw = float(np.copysign(1.0, factor)) * choices[unit]
-        return np.where(np.isfinite(yaw), se2.wrap_angle(yaw), np.nan)
+        remedy = f", which -{role} in --columns says"
+        found = heading_beside_wheels(choices, turns, name, remedy)
+        self.notes.extend(found.notes)
+        if found.unit:
+            self.units[role] = found.unit
+        return found.yaw
 
     def _integrated(self, role: Role, unit: str) -> FloatArray:
         """A heading (n,), rad, from a column of headings or of turn rates in a unit."""
@@ -310,41 +298,6 @@ class _Conversion:
         if unused:
             are = "are" if len(unused) > 1 else "is"
             self.notes.append(f"the columns hold speeds, so {' and '.join(unused)} {are} not used")
-
-
-def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | None, float]:
-    """The unit in which a heading follows the turns (n,) by the wheels, rad, and by which factor.
-    None if there is none.
-    """
-    if np.abs(turns).sum() < _LEAST_TURNED:
-        first, *others = choices
-        is_wide = bool(others) and float(np.ptp(np.nan_to_num(choices[first]))) > _FULL_TURN
-        return (others[0] if is_wide else first), 1.0
-    best, factor, correlation = None, 1.0, _LEAST_CORRELATION
-    by_wheels = np.cumsum(turns)
-    for unit, heading in choices.items():
-        is_there = np.isfinite(heading)
-        turned = se2.wrap_angle(np.diff(heading[is_there]))
-        expected = np.diff(by_wheels[is_there])
-        together = float(turned @ expected)
-        slope = together / max(float(expected @ expected), 1e-12)
-        found = abs(together) / max(float(np.linalg.norm(turned) * np.linalg.norm(expected)), 1e-12)
-        if found >= correlation and 1.0 / _LARGEST_FACTOR <= abs(slope) <= _LARGEST_FACTOR:
-            best, factor, correlation = unit, slope, found
-    return best, factor
-
-
-def _follows(heading: FloatArray, turns: FloatArray) -> bool:
-    """Whether a heading (n,), rad, is the sum of the turns (n,) by the wheels, rad, in either
-    direction. A measured one differs from it after some turns, by slip if by nothing else.
-    """
-    rows = np.flatnonzero(np.isfinite(heading))
-    by_wheels = np.cumsum(turns)[rows]
-    if not len(rows) or np.abs(np.diff(by_wheels)).sum() < _TURNED_TO_DIFFER:
-        return False
-    turned = np.cumsum(se2.wrap_angle(np.diff(heading[rows], prepend=heading[rows[:1]])))
-    differences = np.array([turned - by_wheels, turned + by_wheels])
-    return bool(np.ptp(differences, axis=1).min() < _NO_DIFFERENCE)
 
 
 def _yaw_of(quaternion: list[FloatArray]) -> FloatArray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.logs.columns import DIMENSION_OF, UNITS, Column, Dimension, Role
-from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import FloatArray, IntArray, se2
 from limslam_env.interface import RobotSpec
 
 LARGEST_OFF_AXIS_DEG = 45.0
@@ -171,24 +171,29 @@ class TableOptions:
 
     def travel(
         self, columns: FloatArray, metres: FloatArray, fastest: float, period: float
-    ) -> FloatArray:
-        """Travel (n, k), m, since the row before, from columns (n, k) of travel or counters.
+    ) -> tuple[FloatArray, IntArray]:
+        """Travel (n, k), m, since the row before, from columns (n, k) of travel or counters, and
+        the rows (r,) in which counters begin again at 0.
 
         ``metres`` (k,) is the travel for each 1 in them, ``fastest`` the largest speed, m/s, and
         ``period`` the usual time between two rows, s.
 
         The first row has no row before it. The robot counts as standing there, wherever it drove
         earlier. Counters of any number of bits, with or without a sign, are continued where they
-        begin again.
+        begin again. Those of a board that was switched on again count from there.
         """
+        restarts = np.zeros(0, dtype=np.int64)
         if self.accumulated:
             travel = np.diff(columns, axis=0, prepend=columns[:1])
             farthest = SPARE * fastest * period / float(metres.min())
             travel = _continued(travel, columns, farthest)
+            is_far = (np.abs(travel) > farthest).any(axis=1)
+            restarts = np.flatnonzero(is_far & (np.abs(columns) <= farthest).all(axis=1))
+            travel[restarts] = columns[restarts]
         else:
             travel = columns.copy()
         travel[0] = 0.0
-        return travel * metres
+        return travel * metres, restarts
 
 
 def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> FloatArray:

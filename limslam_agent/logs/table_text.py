@@ -38,7 +38,7 @@ NO_ROW = "delete the line if it is no row of the table, or begin it with #"
 _HEADER_WITHIN = 1000  # lines
 _MOST_BYTES = 1 << 22  # in which the header is looked for
 _COMPLETE = 3  # kinds of columns of a header that names all that is needed
-_NO_READING = {b"null", b"none", b"na", b"n/a", b"nil", b"--"}
+_DIGIT = re.compile(rb"\d")
 _UNIT = "|".join(map(re.escape, (unit for units in UNITS.values() for unit in units)))
 _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
@@ -47,6 +47,9 @@ _LONGEST_QUOTE = 60
 _BLANK = b' \t\r\n,;"'
 # What a serial monitor writes before each line.
 _MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
+
+# A semicolon goes first: a comma beside it is a decimal mark.
+_SEPARATORS = (";", ",", "\t")
 
 
 @dataclass(frozen=True)
@@ -167,11 +170,16 @@ class Rows:
         self.damaged = 0
         self.is_cut = False
         self.first_damage = ""
+        self.repeated = 0
+        self.previous = b""
 
     def add(self, number: int, line: bytes) -> None:
         """Process one line after the header."""
-        text = line.strip().replace(b'"', b"")
-        if not text or text.startswith(b"#") or text == self.header.text:
+        text = _text_of(line)
+        if not text.strip() or text.startswith(b"#") or text == self.header.text:
+            return
+        if text == self.previous:
+            self.repeated += 1
             return
         try:
             values, has_scan = self._values(text)
@@ -179,6 +187,7 @@ class Rows:
             self.is_cut = not line.endswith(b"\n")
             self.add_damage(f"line {number}: {error}, in {_quoted(text)}")
             return
+        self.previous = text
         self.values.extend(values)
         self.has_scan.append(has_scan)
         self.lines.append(number)
@@ -293,12 +302,14 @@ def _finite(field: bytes, column: Column) -> float:
 
 
 def _reading(field: bytes) -> float:
-    """A number that may be missing: NaN where the field is empty."""
-    if not field or field == NO_SCAN or field.lower() in _NO_READING:
-        return math.nan
+    """A number that may be missing: NaN where the field is empty, or is a word such as ``null`` or
+    ``out of range``.
+    """
     try:
-        return float(field)
+        return float(field or b"nan")
     except ValueError:
+        if not _DIGIT.search(field):
+            return math.nan
         shown = field.decode("ascii", "replace")[:40]
         raise ValueError(
             f"a range is not a number: {shown!r}; an empty field or nan is no reading"
@@ -307,17 +318,16 @@ def _reading(field: bytes) -> float:
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
     """Names of columns in a line, and the separator (None for spaces)."""
-    text = line.decode("utf-8", "replace").replace('"', "").strip()
+    text = _text_of(line).decode("utf-8", "replace")
     is_remark = text.startswith("#")
-    text = _SPACED_UNIT.sub(r"\1\2\3", text.lstrip("#").strip())
+    text = _SPACED_UNIT.sub(r"\1\2\3", text.lstrip("#").strip(" "))
     if is_remark:
         text = text.partition(" (")[0]
     elif not _ANY_UNIT.search(text):
         text = _REMARK.sub("", text)
-    # A semicolon goes first: a comma beside it is a decimal mark.
-    separator = next((mark for mark in (";", ",", "\t") if mark in text), None)
+    separator = next((mark for mark in _SEPARATORS if mark in text), None)
     names = [name.strip() for name in text.rstrip(separator).split(separator)]
-    if separator == "\t" and "" in names:
+    if separator == "\t" and "" in names[1:]:  # of an index, the first name is empty
         separator, names = None, text.split()
     return (names if text else []), separator.encode() if separator else None
 
@@ -340,8 +350,7 @@ def _header(seen: Sequence[tuple[int, bytes]]) -> Header:
         columns = columns_of(names)
     except ValueError as error:
         raise ValueError(f"line {number}: {error}") from error
-    text = line.strip().replace(b'"', b"")
-    return Header(columns, separator, text, _count_of_text(seen[:-1]))
+    return Header(columns, separator, _text_of(line), _count_of_text(seen[:-1]))
 
 
 def _chosen_header(seen: Sequence[tuple[int, bytes]], chosen: Sequence[str]) -> Header:
@@ -349,8 +358,8 @@ def _chosen_header(seen: Sequence[tuple[int, bytes]], chosen: Sequence[str]) -> 
     columns = columns_of(chosen)
     if not seen:
         return Header(columns, b",", is_chosen=True)
-    _, separator = _names(seen[-1][1])
-    before = seen[-2][1].strip().replace(b'"', b"") if len(seen) > 1 else b""
+    separator = _separator_of_row(_text_of(seen[-1][1]), len(columns))
+    before = _text_of(seen[-2][1]) if len(seen) > 1 else b""
     skipped = max(_count_of_text(seen[:-1]) - 1, 0)
     return Header(columns, separator, before, skipped, is_chosen=True)
 
@@ -372,7 +381,8 @@ def _incomplete_header(
     first = rows[0] if rows else len(seen)
     before = [place for place in texts if place < first]
     if not before:
-        count = len(seen[first][1].split(_names(seen[first][1])[1]))
+        text = _text_of(seen[first][1])
+        count = len(text.split(_separator_of_row(text)))
         motion = "t,x,y,theta" if count == len(beams_deg) + 4 else "t,left,right"
         beams = [f",r_{round(degrees, 1):g}" for degrees in beams_deg]
         ranges = "".join(beams) or ",r_90" + ",-" * max(count - 4, 0)
@@ -390,10 +400,10 @@ def _is_row(line: bytes, count: int | None = None) -> bool:
     """Whether a line begins as a row does, with a number or a time, and has numbers in most of its
     fields, or has ``count`` fields.
     """
-    text = line.strip().replace(b'"', b"")
-    if not text[:1] or text[:1] not in b"+-.0123456789":
+    text = _text_of(line)
+    if not text.strip() or text.lstrip()[:1] not in b"+-.0123456789":
         return False
-    _, separator = _names(line)
+    separator = _separator_of_row(text, count)
     fields = [field.strip().replace(b",", b".") for field in text.split(separator)]
     numbers = [not field or field == NO_SCAN or is_number(field) for field in fields]
     if count is not None:
@@ -402,6 +412,19 @@ def _is_row(line: bytes, count: int | None = None) -> bool:
         if len(fields) != count and not is_silent:
             return False
     return len(fields) > 2 and sum(numbers) > 0.5 * len(fields)
+
+
+def _text_of(line: bytes) -> bytes:
+    """The text of a line without quotes. Tabs at its ends stay: they separate empty fields."""
+    return line.strip(b" \r\n\v\f").replace(b'"', b"")
+
+
+def _separator_of_row(text: bytes, count: int | None = None) -> bytes | None:
+    """What separates the fields of a row; None for spaces, or tabs in any number."""
+    separator = next((mark.encode() for mark in _SEPARATORS if mark.encode() in text), None)
+    if separator == b"\t" and count not in (None, len(text.split(separator))):
+        return None
+    return separator
 
 
 def _count_of_text(lines: Sequence[tuple[int, bytes]]) -> int:

@@ -22,6 +22,7 @@ from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.readings import as_readings, new_repeats
 from limslam_env import NominalNoise, RobotSpec, SensorSpec
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import beams_on_rim
 
 MOST = 3.0
 LEAST = {"carmen": 0.02, "table": 0.02, "bag": 0.05, "npz": 0.05}
@@ -245,6 +246,29 @@ def test_what_is_missing_beside_any_reading_was_not_measured(code: float) -> Non
     assert note.endswith("--missing nothing takes them for 'nothing seen'")
     told = log.taken("nothing")
     np.testing.assert_array_equal(told.ranges, np.where(is_lost, np.float32(1.5), log.ranges))
+
+
+def test_rows_between_two_scans_say_nothing_of_what_is_missing() -> None:
+    ranges, wheels, _ = driven(split=5)
+    reported = np.where(ranges >= SIX.max_ranges, NAN, ranges)
+    is_between = np.arange(len(ranges)) % 5 > 0
+    reported[is_between] = NAN
+    log = log_of(reported, wheels)
+    expected = np.where(is_between[:, None], NAN, ranges).astype(np.float32)
+    np.testing.assert_array_equal(log.ranges, expected)
+    (note,) = log.readings_notes
+    assert "they begin where the readings end near the longest range" in note
+
+
+def test_rows_in_which_no_beam_saw_anything_are_told_from_those_between_two_scans() -> None:
+    beams = beams_on_rim((90.0, -90.0), 0.06, max_range=1.5)
+    robot, steps = RobotSpec(beams=beams), 300
+    reading = 1.2 + 0.5 * np.sin(0.1 * np.arange(steps))
+    ranges = np.column_stack((reading, reading))
+    wheels, scans = np.full((steps, 2), 0.02), np.ones(steps, dtype=bool)
+    reported = np.where(ranges >= 1.5, NAN, ranges)
+    log = RecordedLog(robot, 0.1 * np.arange(steps), reported, scans, wheels=wheels)
+    np.testing.assert_array_equal(log.ranges, np.minimum(ranges, 1.5).astype(np.float32))
 
 
 def test_a_wall_that_comes_too_near_is_no_free_space() -> None:

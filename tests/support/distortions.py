@@ -90,6 +90,8 @@ class Sheet:
         Units of the table.
     names_say_units
         Whether the names of the columns say the units, so that no option has to.
+    says_time_unit
+        Whether an option says the unit of the time, if no name does.
     time_name, wheel_names, range_name
         Names of columns; ``range_name`` has a place for the direction.
     uses_words
@@ -108,14 +110,13 @@ class Sheet:
         Matrix (2, 2) from true to counted travel of left and right.
     metres_per_tick, axle
         What the user believes; None is what is true.
-    options
-        Further options of the command line that a user would give.
     words
         A message that holds one of these names the cause.
-    is_to_be_named
-        Whether the cause has to be named, and a good map alone is not the expected outcome.
-    mend
-        Options that make a log right whose cause was named; none if there are no such options.
+    cause
+        Words of the message that has to name the cause, where a good map alone is not the expected
+        outcome. Empty where it is.
+    can_be_mended
+        Whether an option makes a log right whose cause was named.
     seed
         Of what the writer draws.
     """
@@ -125,6 +126,7 @@ class Sheet:
     time_unit: str = "ms"
     range_unit: str = "mm"
     names_say_units: bool = False
+    says_time_unit: bool = True
     time_name: str = "t"
     wheel_names: tuple[str, str] = ("left", "right")
     range_name: str = "r_{}"
@@ -142,10 +144,9 @@ class Sheet:
     wires: FloatArray = field(default_factory=lambda: np.eye(2))
     metres_per_tick: float | None = None
     axle: float | None = None
-    options: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
-    is_to_be_named: bool = False
-    mend: tuple[str, ...] = ()
+    cause: str = ""
+    can_be_mended: bool = False
     seed: int = 0
 
 
@@ -172,13 +173,15 @@ def write(sheet: Sheet, folder: Path, name: str) -> list[str]:
         robot = str(folder / f"{name}.toml")
         Path(robot).write_text(_robot_file(sheet.drive.robot, sheet.axle), encoding="utf-8")
     arguments = [str(path), "--robot", robot, "--noise", "0.02"]
-    if sheet.odometry in ("accumulated", "increments"):
+    if sheet.odometry in _OF_TICKS:
         arguments += ["--metres-per-tick", f"{sheet.metres_per_tick or METRES_PER_TICK:g}"]
-    if sheet.odometry == "accumulated":
+    if sheet.odometry in _OF_TICKS and sheet.odometry != "increments":
         arguments.append("--accumulated")
     if not sheet.names_say_units:
-        arguments += ["--range-unit", sheet.range_unit, "--time-unit", sheet.time_unit]
-    return [*arguments, *sheet.options]
+        arguments += ["--range-unit", sheet.range_unit]
+    if not sheet.names_say_units and sheet.says_time_unit:
+        arguments += ["--time-unit", sheet.time_unit]
+    return arguments
 
 
 def plain(drive: Drive, *, by_poses: bool = False) -> Sheet:
@@ -291,11 +294,31 @@ def _distance_and_angle(sheet: Sheet) -> dict[str, list[str]]:
     }
 
 
-def _ticks_and_yaw(sheet: Sheet) -> dict[str, list[str]]:
+def _heading(sheet: Sheet) -> FloatArray:
+    """Heading (n,), deg, by a measurement unit in a frame of its own."""
     generator = np.random.default_rng(sheet.seed)
     noise = np.radians(0.3) * generator.standard_normal(len(sheet.drive.time))
-    heading = np.degrees(se2.wrap_angle(sheet.drive.true[:, 2] + 1.0 + noise))
-    return {**_accumulated(sheet), "yaw_deg": _numbers(heading, 1)}
+    return np.degrees(se2.wrap_angle(sheet.drive.true[:, 2] + 1.0 + noise))
+
+
+def _ticks_and_yaw(sheet: Sheet) -> dict[str, list[str]]:
+    return {**_accumulated(sheet), "yaw_deg": _numbers(_heading(sheet), 1)}
+
+
+def _ticks_and_compass(sheet: Sheet) -> dict[str, list[str]]:
+    return {**_accumulated(sheet), "heading": _numbers(-_heading(sheet) % 360.0, 1)}
+
+
+def _ticks_and_gyro(sheet: Sheet) -> dict[str, list[str]]:
+    generator = np.random.default_rng(sheet.seed)
+    turns = se2.wrap_angle(np.diff(sheet.drive.true[:, 2], prepend=sheet.drive.true[:1, 2]))
+    rates = np.degrees(turns) / _lasted(sheet.drive)
+    noise = 0.2 * generator.standard_normal(len(rates))
+    return {**_accumulated(sheet), "gyro_z": _numbers(rates + 0.3 + noise, 2)}
+
+
+def _ticks_and_theta(sheet: Sheet) -> dict[str, list[str]]:
+    return {**_accumulated(sheet), "theta": _numbers(_path(sheet)[:, 2], 4)}
 
 
 def _poses(sheet: Sheet) -> dict[str, list[str]]:
@@ -335,11 +358,22 @@ _FORMS: dict[str, Callable[[Sheet], dict[str, list[str]]]] = {
     "speed_and_turn": _speed_and_turn,
     "distance_and_angle": _distance_and_angle,
     "ticks_and_yaw": _ticks_and_yaw,
+    "ticks_and_compass": _ticks_and_compass,
+    "ticks_and_gyro": _ticks_and_gyro,
+    "ticks_and_theta": _ticks_and_theta,
     "poses": _poses,
     "poses_in_degrees": _poses_in_degrees,
     "poses_after_reset": _poses_after_reset,
 }
 """Columns of odometry by the form of odometry."""
+_OF_TICKS = (
+    "accumulated",
+    "increments",
+    "ticks_and_yaw",
+    "ticks_and_compass",
+    "ticks_and_gyro",
+    "ticks_and_theta",
+)
 
 
 def _path(sheet: Sheet) -> FloatArray:
@@ -470,40 +504,28 @@ def _in_units(sheet: Sheet, time_unit: str, range_unit: str) -> Sheet:
     return replace(sheet, time_unit=time_unit, range_unit=range_unit, nothing=nothing)
 
 
-def _odometry(form: str, words: tuple[str, ...] = ()) -> Distortion:
-    def apply(sheet: Sheet, _: np.random.Generator) -> Sheet:
-        options = sheet.options
-        if form == "ticks_and_yaw":
-            options = (*options, "--metres-per-tick", f"{METRES_PER_TICK:g}", "--accumulated")
-        return replace(sheet, odometry=form, options=options, words=(*sheet.words, *words))
-
-    return apply
+def _odometry(form: str) -> Distortion:
+    return _changing(odometry=form)
 
 
-def _wired(matrix: list[list[float]], names: tuple[str, str], words: tuple[str, ...]) -> Distortion:
-    """Wheels that are wired otherwise. ``names`` are the columns left and right, put right."""
+def _rows_without_ranges(sheet: Sheet, _: np.random.Generator) -> Sheet:
+    """Rows at 50 Hz, of which each fifth one has ranges."""
+    drive = _at_50_hz(sheet.drive)
+    ranges = drive.ranges.copy()
+    ranges[np.arange(len(ranges)) % _SPEED_OF_REPEATS > 0] = np.nan
+    return replace(sheet, drive=replace(drive, ranges=ranges))
 
-    def apply(sheet: Sheet, _: np.random.Generator) -> Sheet:
-        degrees = [round(float(each)) for each in np.degrees(sheet.drive.robot.beam_angles)]
-        columns = ",".join(["t", *names, *(f"r_{each}" for each in degrees)])
-        return replace(
-            sheet,
-            wires=np.array(matrix),
-            words=words,
-            is_to_be_named=True,
-            mend=("--columns", columns),
-        )
 
-    return apply
+def _wired(matrix: list[list[float]], cause: str) -> Distortion:
+    """Wheels that are wired otherwise."""
+    return _changing(wires=np.array(matrix), cause=cause, can_be_mended=True)
 
 
 def _ticks_wrong(factor: float) -> Distortion:
-    return lambda sheet, _: replace(
-        sheet,
+    return _changing(
         metres_per_tick=factor * METRES_PER_TICK,
-        words=("--metres-per-tick",),
-        is_to_be_named=True,
-        mend=("--metres-per-tick", f"{METRES_PER_TICK:g}"),
+        cause="--metres-per-tick",
+        can_be_mended=True,
     )
 
 
@@ -511,14 +533,13 @@ def _axle_wrong(factor: float) -> Distortion:
     return lambda sheet, _: replace(
         sheet,
         axle=factor * sheet.drive.robot.axle,
-        words=("--axle",),
-        is_to_be_named=True,
-        mend=("--axle", f"{sheet.drive.robot.axle:g}"),
+        cause="--axle",
+        can_be_mended=True,
     )
 
 
 def _jump(sheet: Sheet, _: np.random.Generator) -> Sheet:
-    return replace(sheet, odometry="poses_after_reset", words=("jump",), is_to_be_named=True)
+    return replace(sheet, odometry="poses_after_reset", cause="jump")
 
 
 _MISSING = ("missing", "no reading")
@@ -532,8 +553,6 @@ def _kind(apply: Distortion, *changes: str) -> Kind:
     return Kind(apply, frozenset(changes))
 
 
-_OF_WIRES = ("wiring", "odometry", "columns", "units", "damage")
-
 KINDS: dict[str, Kind] = {
     "nothing_nan": _nothing_as("NaN"),
     "nothing_empty": _nothing_as(""),
@@ -543,6 +562,7 @@ KINDS: dict[str, Kind] = {
     "dropouts": _kind(_dropouts, "missing", "repeats"),
     "held_50_hz": _kind(_held, "repeats"),
     "one_beam_at_a_time": _kind(_one_beam_at_a_time, "repeats"),
+    "rows_without_ranges": _kind(_rows_without_ranges, "repeats"),
     "right_first": _kind(_changing(order="right_first"), "order"),
     "time_last": _kind(_changing(order="time_last"), "order"),
     "shuffled": _kind(_changing(order="shuffled"), "order"),
@@ -550,6 +570,7 @@ KINDS: dict[str, Kind] = {
     "extra_columns": _kind(_changing(has_extras=True), "extras"),
     "units_in_names": _kind(_units_in_names, "units", "columns"),
     "units_by_options": _kind(_units_by_options, "units"),
+    "unsaid_time_unit": _kind(_changing(says_time_unit=False), "time unit"),
     "quoted_header": _kind(_changing(is_quoted=True), "text"),
     "byte_order_mark": _kind(_changing(encoding="utf-8-sig"), "text"),
     "utf_16": _kind(_changing(encoding="utf-16"), "text"),
@@ -558,32 +579,35 @@ KINDS: dict[str, Kind] = {
     "tabs": _kind(_changing(separator="\t"), "text"),
     "crlf": _kind(_changing(newline="\r\n"), "text"),
     "ticks_per_row": _kind(_odometry("increments"), "odometry", "lost_travel"),
-    "wheel_speeds": _kind(_odometry("speeds"), "odometry"),
-    "speed_and_turn": _kind(_odometry("speed_and_turn"), "odometry"),
-    "distance_and_angle": _kind(_odometry("distance_and_angle"), "odometry", "lost_travel"),
-    "ticks_and_yaw": _kind(_odometry("ticks_and_yaw"), "odometry"),
-    "poses_in_degrees": _kind(_odometry("poses_in_degrees"), "odometry"),
+    "wheel_speeds": _kind(_odometry("speeds"), "odometry", "size of ticks"),
+    "speed_and_turn": _kind(_odometry("speed_and_turn"), "odometry", "wheels"),
+    "distance_and_angle": _kind(
+        _odometry("distance_and_angle"), "odometry", "wheels", "lost_travel"
+    ),
+    "ticks_and_yaw": _kind(_odometry("ticks_and_yaw"), "odometry", "axle"),
+    "ticks_and_compass": _kind(_odometry("ticks_and_compass"), "odometry", "axle"),
+    "ticks_and_gyro": _kind(_odometry("ticks_and_gyro"), "odometry", "axle"),
+    "ticks_and_theta": _kind(_odometry("ticks_and_theta"), "odometry"),
+    "poses_in_degrees": _kind(_odometry("poses_in_degrees"), "odometry", "wheels"),
     "cut_lines": _kind(_changing(damage="cut"), "damage", "lost_travel"),
     "boot_text": _kind(_changing(damage="boot"), "damage"),
     "power_off": _kind(_changing(damage="power_off"), "damage"),
     "late_rows": _kind(_changing(damage="late"), "damage"),
     "right_backwards": _kind(
-        _wired([[1.0, 0.0], [0.0, -1.0]], ("left", "-right"), ("-right",)), *_OF_WIRES
+        _wired([[1.0, 0.0], [0.0, -1.0]], "the right wheel counts the other way"), "wheels"
     ),
     "left_backwards": _kind(
-        _wired([[-1.0, 0.0], [0.0, 1.0]], ("-left", "right"), ("-left",)), *_OF_WIRES
+        _wired([[-1.0, 0.0], [0.0, 1.0]], "the left wheel counts the other way"), "wheels"
     ),
     "both_backwards": _kind(
-        _wired([[-1.0, 0.0], [0.0, -1.0]], ("-left", "-right"), ("-left,-right",)), *_OF_WIRES
+        _wired([[-1.0, 0.0], [0.0, -1.0]], "both wheels count the other way"), "wheels"
     ),
-    "exchanged": _kind(
-        _wired([[0.0, 1.0], [1.0, 0.0]], ("right", "left"), ("right,left",)), *_OF_WIRES
-    ),
-    "ticks_halved": _kind(_ticks_wrong(0.5), *_OF_WIRES),
-    "ticks_doubled": _kind(_ticks_wrong(2.0), *_OF_WIRES),
-    "axle_too_long": _kind(_axle_wrong(4.0 / 3.0), *_OF_WIRES),
-    "axle_too_short": _kind(_axle_wrong(2.0 / 3.0), *_OF_WIRES),
-    "reset_of_poses": _kind(_jump, "jump", "odometry", "damage"),
+    "exchanged": _kind(_wired([[0.0, 1.0], [1.0, 0.0]], "left and right are exchanged"), "wheels"),
+    "ticks_halved": _kind(_ticks_wrong(0.5), "wheels", "size of ticks"),
+    "ticks_doubled": _kind(_ticks_wrong(2.0), "wheels", "size of ticks"),
+    "axle_too_long": _kind(_axle_wrong(4.0 / 3.0), "wheels", "axle"),
+    "axle_too_short": _kind(_axle_wrong(2.0 / 3.0), "wheels", "axle"),
+    "reset_of_poses": _kind(_jump, "odometry", "wheels", "damage"),
 }
 """Distortions by name. What two of them both change, they do not change in one log."""
 

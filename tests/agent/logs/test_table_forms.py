@@ -251,7 +251,7 @@ def test_a_heading_beside_wheels_is_read_in_its_unit_and_counter_clockwise(write
     np.testing.assert_allclose(turned, TURN[1:], atol=1e-6)
     assert len(log.notes) == (sign < 0.0)
     if sign < 0.0:
-        assert "in --columns says so" in log.notes[0]
+        assert "in --columns says, or left and right are exchanged" in log.notes[0]
         chosen = ("t", "left", "-gyro_z" if "rate" in form else "-yaw", "right", *NAMED)
         said = read_log(path, table=TableOptions(ROBOT, columns=chosen))
         np.testing.assert_allclose(said.yaw, log.yaw)
@@ -300,8 +300,9 @@ def test_a_heading_that_does_not_follow_the_wheels_is_left_out(write):
     path = write(table({"t": TIME, "left": LEFT, "right": RIGHT, "yaw": noise}))
     log = read_log(path, table=TableOptions(ROBOT))
     assert log.yaw is None
-    assert log.notes == (
-        "the heading in yaw does not follow the turns by the wheels, and is left out",
+    (note,) = log.notes
+    assert note.startswith(
+        "the heading in yaw does not follow the turns by the wheels, and is left"
     )
 
 
@@ -418,7 +419,7 @@ def test_text_before_the_header_is_skipped_and_counted(write):
         ("WiFi: connected", "1 column where the header names 7, in 'WiFi: connected'"),
         ("4.9,0.01,0.0x1,1,1,1,1", "right is not a number: '0.0x1'"),
         ("4.9,nan,0.01,1,1,1,1", "left is nan, not a finite number"),
-        ("4.9,0.01,0.01,1,1,1,OOR", "a range is not a number: 'OOR'"),
+        ("4.9,0.01,0.01,1,1,1,1.5.2", "a range is not a number: '1.5.2'"),
         ("490000,0.01,0.01,1,1,1,1", "its time or its motion is impossible"),
         ("-490,0.01,0.01,1,1,1,1", "its time or its motion is impossible"),
         ("4.9,812,0.01,1,1,1,1", "its time or its motion is impossible"),

@@ -141,8 +141,8 @@ def test_beams_can_be_chosen_and_are_six_of_many(write):
         ("nan,0,0,0,1,1,1", "line 3: t is nan, not a finite number"),
         ("0.2,inf,0,0,1,1,1", "line 3: x is inf"),
         (
-            "0.2,0,0,0,1,far,1",
-            "line 3: a range is not a number: 'far'; an empty field or nan is no reading",
+            "0.2,0,0,0,1,1.5.2,1",
+            "line 3: a range is not a number: '1.5.2'; an empty field or nan is no reading",
         ),
         ("-2.0,0,0,0,1,1,1", "line 3: the time steps back by 2.0 s"),
         ("0.2,1e4,0,0,1,1,1", "odometry jumps by 1e+04 m in row 1"),
@@ -171,6 +171,68 @@ def test_a_bad_header_is_refused(write, head, words):
 
 
 # Which reader
+
+
+@pytest.mark.parametrize("word", ["null", "OOR", " out of range ", "--", "ERR"])
+def test_a_word_in_place_of_a_range_is_no_reading(write, word):
+    log = read_log(write(f"{HEAD}0,0,0,0,1,{word},1\n0.1,0,0,0,1,1,1\n"))
+    np.testing.assert_array_equal(log.reported, [[1.0, np.nan, 1.0], [1.0, 1.0, 1.0]])
+    assert not any("damaged" in note for note in log.notes)
+
+
+def test_a_line_that_a_radio_repeats_counts_once(write):
+    lines = [f"{0.1 * row:.1f},0.01,0.02,{1.0 + 0.01 * row:.2f}" for row in range(20)]
+    twice = [line for line in lines for _ in range(2)]
+    robot = TableOptions(RobotSpec(beams=beams_on_rim((0.0,), 0.1)))
+    once, log = (
+        read_log(write("\n".join(["t,left,right,r_0", *rows]) + "\n", name), table=robot)
+        for rows, name in ((lines, "once.csv"), (twice, "twice.csv"))
+    )
+    np.testing.assert_array_equal(log.wheels, once.wheels)
+    np.testing.assert_array_equal(log.time, once.time)
+    assert log.notes == ("20 lines repeated the line before, and count once",)
+
+
+def test_counters_of_a_board_that_was_switched_on_again_count_from_there(write):
+    ticks = [*range(1000, 3000, 100), 10, 110, 210]
+    rows = [f"{0.1 * row:.1f},{count},{count},1.5" for row, count in enumerate(ticks)]
+    path = write("\n".join(["t,left,right,r_0", *rows]) + "\n")
+    robot = RobotSpec(beams=beams_on_rim((0.0,), 0.1))
+    log = read_log(path, table=TableOptions(robot, 1e-4, accumulated=True))
+    np.testing.assert_allclose(log.wheels[:, 0], [0.0, *[0.01] * 19, 0.001, 0.01, 0.01])
+    (note,) = log.notes
+    assert note.startswith("the counters of the wheels begin again at 0 at 2.0 s, as of a board")
+
+
+def test_empty_fields_at_either_end_of_a_line_stay_with_tabs(write):
+    commas = "".join(
+        f"{end},{0.1 * row:.1f},0.01,0.01,{end},1.2,{end},{end}\n"
+        for row, end in enumerate(["1.5", "", "", "1.4", ""] * 4)
+    )
+    names = "r_90,t,left,right,r_45,r_0,r_-45,r_-90"
+    robot = RobotSpec(beams=beams_on_rim((90.0, 45.0, 0.0, -45.0, -90.0), 0.1))
+    expected = read_log(write(f"{names}\n{commas}", "commas.csv"), table=TableOptions(robot))
+    rows = commas.replace(",", "\t")
+    header = names.replace(",", "\t")
+    chosen = TableOptions(robot, columns=tuple(names.split(",")))
+    for text, options in (
+        (f"{header}\n{rows}", TableOptions(robot)),
+        (rows, chosen),
+        (f"{header}\n{rows}", chosen),
+        (f"{header}\t\r\n{rows}".replace("\t", " \t "), TableOptions(robot)),
+    ):
+        log = read_log(write(text, "tabs.csv"), table=options)
+        np.testing.assert_array_equal(log.reported, expected.reported)
+        assert log.notes == expected.notes
+
+
+def test_an_index_without_a_name_is_a_column_that_is_not_used(write):
+    rows = [f"{row}\t{0.1 * row:.1f}\t0.01\t0.01\t1.2\t" for row in range(20)]
+    text = "\n".join(["\tt\tleft\tright\tr_90\tr_-90", *rows]) + "\n"
+    robot = RobotSpec(beams=beams_on_rim((90.0, -90.0), 0.1))
+    log = read_log(write(text), table=TableOptions(robot))
+    np.testing.assert_allclose(log.time, 0.1 * np.arange(20))
+    assert log.notes == ()
 
 
 def test_other_texts_are_no_tables(write):

@@ -142,6 +142,24 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     assert all(said in warning for warning in warnings)
 
 
+@pytest.mark.parametrize(
+    ("factors", "order", "header", "said"),
+    [
+        ((1.0, 1.0, -1.0), 1, "x_mm,y,theta,t", "--columns x_mm,y,-theta,t reads the table so"),
+        ((1.0, -1.0, 1.0), 1, "t,x,-y,yaw", "--columns t,x,y,yaw reads the table so"),
+        ((1.0, 1.0, 1.0), -1, "t,x,y,theta", "--columns t,x,-y,-theta reads the table so"),
+        ((1.0, 1.0, -1.0), 1, "t,x,y,qx,qy,qz,qw", "does the heading of odometry count clockwise?"),
+    ],
+)
+def test_what_mends_a_table_of_poses_is_said_in_its_own_columns(laps, factors, order, header, said):
+    odometry, ranges = laps.odometry * np.array(factors), laps.ranges[:, ::order].copy()
+    found = misread(
+        replace(laps, odometry=odometry, ranges=ranges, header=tuple(header.split(",")))
+    )
+    assert found is not None
+    assert found.words.endswith(said)
+
+
 @functools.cache
 def rounds():
     """Ranges and wheel travel of three rounds through a ring of corridors."""
@@ -166,6 +184,7 @@ def wheel_log(change):
         scans,
         np.zeros(3),
         wheels=wheels @ change,
+        header=("left", "right", "-", "t", "r_90"),
     )
 
 
@@ -190,16 +209,25 @@ def test_wheels_that_never_move_are_noticed(change, question):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ([[1, 0], [0, -1]], "the right wheel counts the other way: --columns t,left,-right,r_90,"),
-        ([[-1, 0], [0, 1]], "the left wheel counts the other way: --columns t,-left,right,r_90,"),
-        ([[-1, 0], [0, -1]], "both wheels count the other way: --columns t,-left,-right,r_90,"),
+        (
+            [[1, 0], [0, -1]],
+            "the right wheel counts the other way: --columns left,-right,-,t,r_90 reads",
+        ),
+        (
+            [[-1, 0], [0, 1]],
+            "the left wheel counts the other way: --columns -left,right,-,t,r_90 reads",
+        ),
+        (
+            [[-1, 0], [0, -1]],
+            "both wheels count the other way: --columns -left,-right,-,t,r_90 reads",
+        ),
         (
             [[0, 1], [1, 0]],
             "left and right are exchanged, of the wheels or of the beams: --columns",
         ),
-        ([[0, 1], [1, 0]], "--columns t,right,left,r_90,"),
-        ([[0, -1], [1, 0]], "--columns t,right,-left,r_90,"),
-        ([[0, 1], [-1, 0]], "--columns t,-right,left,r_90,"),
+        ([[0, 1], [1, 0]], "--columns right,left,-,t,r_90 reads"),
+        ([[0, -1], [1, 0]], "--columns right,-left,-,t,r_90 reads"),
+        ([[0, 1], [-1, 0]], "--columns -right,left,-,t,r_90 reads"),
         ([[0, -1], [-1, 0]], "the robot looks the other way"),
         ([[2, 0], [0, 2]], "0.5 times as far as the log was read: --metres-per-tick 0.0005 "),
         ([[0.5, 0], [0, 0.5]], "2 times as far as the log was read: --metres-per-tick 0.002 "),
@@ -210,6 +238,27 @@ def test_wheels_that_are_read_in_a_wrong_way_are_certain_and_named(change, said)
     assert found is not None
     assert found.is_certain
     assert said in found.words
+
+
+@pytest.mark.parametrize(
+    ("change", "header", "said"),
+    [
+        ([[0, 1], [1, 0]], "distance,angle_deg", "--columns distance,-angle_deg reads the table"),
+        ([[-1, 0], [0, -1]], "v,omega", "--columns -v,-omega reads the table so"),
+        ([[0, -1], [-1, 0]], "v,omega", "--columns -v,omega reads the table so"),
+        ([[1, 0], [0, -1]], "-left_m_s,right_m_s", "--columns -left_m_s,-right_m_s reads"),
+        ([[-1, 0], [0, 1]], "-left_m_s,right_m_s", "--columns left_m_s,right_m_s reads"),
+        ([[2, 0], [0, 2]], "left_m_s,right_m_s", "or of the speed in another unit?"),
+        ([[2, 0], [0, 2]], "left_ticks,right_ticks", "--metres-per-tick 0.0005 reads"),
+        ([[1, 0], [0, -1]], "", "the right wheel counts the other way"),
+    ],
+)
+def test_what_mends_a_table_is_said_in_its_own_columns(change, header, said):
+    log = replace(wheel_log(np.array(change, dtype=float)), header=tuple(header.split(",")))
+    found = misread(log if header else replace(log, header=()), 0.001)
+    assert found is not None
+    assert said in found.words
+    assert ("--columns" in found.words) == ("--columns" in said)
 
 
 @pytest.mark.parametrize("factor", [2.0 / 3.0, 4.0 / 3.0])
@@ -259,6 +308,21 @@ def written_wheels(path, log, rows=None):
     return path
 
 
+def test_a_fault_of_the_axle_is_certain_where_few_stretches_turn():
+    log = replace(wheel_log(np.eye(2)), robot=replace(ROBOT, axle=1.5 * ROBOT.axle))
+    found = misread(log)
+    assert found is not None
+    assert found.is_certain
+
+
+def test_a_heading_is_turned_as_the_wheels_of_each_reading_turn():
+    log = wheel_log(np.array([[0.0, 1.0], [1.0, 0.0]]))
+    left, right = log.wheels.T
+    found = misread(replace(log, yaw=np.cumsum((right - left) / log.robot.axle)))
+    assert found is not None
+    assert "left and right are exchanged" in found.words
+
+
 def test_the_command_stops_at_wheels_that_are_certainly_misread(tmp_path):
     path = written_wheels(tmp_path / "log.csv", wheel_log(np.diag([1.0, -1.0])), 450)
     command = ("replay", path, "--robot", "paper", "--preset", "paper", "--noise", "0.01")
@@ -268,6 +332,10 @@ def test_the_command_stops_at_wheels_that_are_certainly_misread(tmp_path):
     finished = limslam(*command, "--as-read", "--out", tmp_path / "out")
     assert finished.returncode == 0
     assert "the right wheel counts the other way" in finished.stderr
+    columns = message.partition("--columns ")[2].split()[0]
+    mended = limslam(*command, "--columns", columns, "--dry-run")
+    assert mended.returncode == 0
+    assert "far better" not in mended.stderr
 
 
 def test_the_named_axle_mends_a_table(tmp_path):
