@@ -117,7 +117,9 @@ class _Motions:
 
     def jumps(self) -> list[int]:
         """The motions that the robot cannot have made."""
-        large = np.flatnonzero((self.sizes > _LEAST_JUMP).any(axis=1)).tolist()
+        lasted = np.maximum(self.seconds, self.period)[:, None]
+        is_fast = self.sizes > _TIMES_FASTER * self.usual * lasted
+        large = np.flatnonzero((is_fast & (self.sizes > _LEAST_JUMP)).any(axis=1)).tolist()
         return [
             step
             for step in large

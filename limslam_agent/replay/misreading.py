@@ -10,9 +10,10 @@ such a surface or pass through it. The score is symmetric in both parts, so that
 short has no advantage over one which is too long.
 
 Only stretches in which two readings differ say which of them is right: a wrong axle shows in turns.
-On 70 simulated drives of a minute, with slips, wheels and axles that are wrong by up to 5 %,
-missing readings and coarse encoders, the right reading is never doubted. A fault of the wheels is
-found on 30 of 30 drives, one of the size of ticks on 59 of 60, and one of the axle on 55 of 60.
+On 106 simulated drives of a minute, with slips, kidnapping, wheels and axles that are wrong by up
+to 5 %, wide and noisy beams, missing readings and coarse encoders, no other reading is certain, and
+one is warned of. Of 30 drives each, every fault of the wiring is found, 59 of 60 wrong sizes of
+ticks, and 55 of 60 wrong axles.
 """
 
 import math
