@@ -14,6 +14,9 @@ from limslam_agent.measurements.store import BaseStamp, read_stamp
 from limslam_agent.output.provenance import commit, versions
 from limslam_env.messages import counted
 
+_FEWEST_PAIRS = 10
+_SURE_OF_SHIFT, _LEAST_SHIFT = 5.0, 0.02  # standard errors of a mean, and a share of the bound
+
 
 def opened(
     folder: Path, entry_folder: Path | None, seed: int | None
@@ -51,7 +54,7 @@ def verify(
     *,
     count: int | None = None,
     user: str | None = None,
-) -> Iterator[tuple[int, list[str]]]:
+) -> Iterator[tuple[Row, Row]]:
     """Run ``count`` rows of a folder of results again; all if it is None.
 
     The rows are drawn by the generator, so that nobody knows them beforehand. ``plans`` are all
@@ -60,7 +63,7 @@ def verify(
     Yields
     ------
     tuple
-        Number and differences of each plan.
+        The row of each plan in the folder, and that of the new run.
 
     Raises
     ------
@@ -81,7 +84,7 @@ def verify(
         Job(entry, plans[number], versions(), commit(), user=user) for number in sorted(drawn)
     ]
     for row in results_of(jobs_again, jobs):
-        yield row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process)
+        yield rows[row.plan], row
 
 
 def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
@@ -95,6 +98,30 @@ def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
         or name not in now.metrics
         or not _equal(before.metrics[name], now.metrics[name], BOUNDS[name] if is_process else 0.0)
     ]
+
+
+def shifts(pairs: Sequence[tuple[Row, Row]]) -> list[str]:
+    """Metrics of a process that differ in one direction, in words.
+
+    Each difference may lie within its bound. The mean of the differences of two honest runs is
+    zero, so results in which all times are a little shorter were changed.
+    """
+    found = []
+    for name, bound in BOUNDS.items():
+        both = [(before.metrics.get(name), now.metrics.get(name)) for before, now in pairs]
+        changes = np.array(
+            [
+                now - before
+                for before, now in both
+                if isinstance(before, int | float) and isinstance(now, int | float)
+            ]
+        )
+        if len(changes) < _FEWEST_PAIRS:
+            continue
+        mean, error = float(changes.mean()), float(changes.std(ddof=1)) / len(changes) ** 0.5
+        if abs(mean) > max(_SURE_OF_SHIFT * error, _LEAST_SHIFT * bound):
+            found.append(f"{name} is now {mean:+.3g} in the mean of {len(changes)} plans")
+    return found
 
 
 def other_versions(stamp: Stamp) -> str:

@@ -139,7 +139,7 @@ def verify(
     found, stamp, all_plans = again.opened(folder, entry, _read_seed() if secret_seed else None)
     if changed := again.other_versions(stamp):
         warn([f"the results are of other versions ({changed})"])
-    checked = different = 0
+    different = 0
     rows = again.verify(
         folder,
         found,
@@ -149,15 +149,22 @@ def verify(
         count=plans,
         user=entry_user,
     )
-    for plan, differences in rows:
-        typer.echo(one_line(f"plan {plan:3}    {'; '.join(differences) or 'equal'}", 500))
-        checked, different = checked + 1, different + bool(differences)
+    pairs = []
+    for before, now in rows:
+        differences = again.differences(before, now, is_process=found.manifest.is_process)
+        typer.echo(one_line(f"plan {now.plan:3}    {'; '.join(differences) or 'equal'}", 500))
+        different += bool(differences)
+        pairs.append((before, now))
+    checked = len(pairs)
+    shifts = again.shifts(pairs) if found.manifest.is_process else []
+    for shift in shifts:
+        typer.echo(f"all plans   {shift}: the differences of honest runs have both signs")
     within = " within the bounds of a process" if found.manifest.is_process else ""
     typer.echo(
         f"verified    {checked} of {counted(len(all_plans), 'plan')}, "
         f"{checked - different} equal{within}"
     )
-    if different:
+    if different or shifts:
         raise typer.Exit(1)
 
 

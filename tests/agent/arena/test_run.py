@@ -18,7 +18,7 @@ from support.command_line import limslam
 from limslam_agent.arena.results import FORMAT, RUNS, STAMP, Row, digest_of, read_results
 from limslam_agent.arena.running import Job, run_entry, run_job
 from limslam_agent.arena.scoring import BOUNDS, lost_scores
-from limslam_agent.arena.verify import differences, opened, verify
+from limslam_agent.arena.verify import differences, opened, shifts, verify
 from limslam_agent.cli.arena import write_kept_run
 from limslam_agent.measurements.store import RESULTS, open_store, read_stamp
 
@@ -53,6 +53,14 @@ def run_all(entry, plans, folder, **options):
     return run_entry(entry, plans, folder, **{"seed": 0, "jobs": 1, **options})
 
 
+def verified(folder, entry, plans):
+    """What differs in each plan of a folder, in words."""
+    return [
+        differences(before, now, is_process=False)
+        for before, now in verify(folder, entry, plans, 1, RANDOM)
+    ]
+
+
 def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
     folder, seen = tmp_path / "out", []
     run_all(entry, short_plans[:1], folder, keep=write_kept_run)
@@ -69,7 +77,7 @@ def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
     assert rows[0].metrics["plan_time_to_95_s"] == 2.0
     assert rows[0].versions["limslam"]
     assert rows[1].setting["robots"] == 2
-    assert list(verify(folder, entry, short_plans[:2], 1, RANDOM)) == [(0, []), (1, [])]
+    assert verified(folder, entry, short_plans[:2]) == [[], []]
     with pytest.raises(ValueError, match="1 plan of 3 has no results, such as plan 2"):
         list(verify(folder, entry, short_plans, 1, RANDOM))
 
@@ -85,7 +93,7 @@ def test_the_plans_that_are_verified_are_drawn_at_random(tmp_path, entry, short_
 
     def drawn(seed):
         found = verify(folder, entry, plans, 1, np.random.default_rng(seed), count=5)
-        return [number for number, _ in found]
+        return [now.plan for _, now in found]
 
     assert len(set(drawn(0))) == 5
     assert drawn(0) == drawn(0)
@@ -178,10 +186,10 @@ def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
         (folder / RESULTS).write_text(json.dumps({**line, **changes}) + "\n")
 
     rewrite(metrics={**line["metrics"], "path_m": line["metrics"]["path_m"] + 1e-12})
-    ((_, (difference,)),) = verify(folder, entry, short_plans[:1], 1, RANDOM)
+    ((difference,),) = verified(folder, entry, short_plans[:1])
     assert difference.startswith("path_m ")
     rewrite(metrics={name: value for name, value in line["metrics"].items() if name != "path_m"})
-    ((_, (difference,)),) = verify(folder, entry, short_plans[:1], 1, RANDOM)
+    ((difference,),) = verified(folder, entry, short_plans[:1])
     assert difference.startswith("path_m missing, now ")
     rewrite(setting={**line["setting"], "noise": 0.0})
     with pytest.raises(ValueError, match="has another setting than the plan"):
@@ -211,6 +219,20 @@ def test_a_process_is_verified_within_bounds(entry, short_plans):
     for is_process in (False, True):
         assert differences(newer, row, is_process=is_process) == ["a_newer_metric 1.0, now missing"]
         assert differences(row, newer, is_process=is_process) == ["a_newer_metric missing, now 1.0"]
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.02])
+def test_scores_of_a_process_that_are_all_better_are_noticed(entry, short_plans, gain):
+    row = run_job(Job(entry, short_plans[0], {}, ""))
+    generator = np.random.default_rng(3)
+    pairs = []
+    for before, now in generator.normal(0.5, 0.01, (40, 2)).tolist():
+        shares = before + gain, now
+        metrics = [{**row.metrics, "correct_coverage": share} for share in shares]
+        pairs.append(tuple(replace(row, metrics=each) for each in metrics))
+    found = shifts(pairs)
+    assert [words.split()[0] for words in found] == (["correct_coverage"] if gain else [])
+    assert shifts(pairs[:9]) == []
 
 
 def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
