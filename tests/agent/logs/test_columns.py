@@ -58,6 +58,8 @@ def test_a_name_says_what_was_measured_and_in_which_unit(name, role, unit):
         ("r_-90", -90.0, None),
         ("r[-45]", -45.0, None),
         ("R_90.0", 90.0, None),
+        ("range.15", 15.0, None),
+        ("range.-22.5", -22.5, None),
         ("r_90_mm", 90.0, "mm"),
         ("range_-90 [mm]", -90.0, "mm"),
         ("range_m45deg", -45.0, None),
