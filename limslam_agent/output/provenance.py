@@ -2,7 +2,7 @@
 
 import subprocess
 import sys
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -36,7 +36,15 @@ def versions() -> dict[str, str]:
         "filterpy",
         "opencv-python-headless",
     )
-    return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
+    return {"python": sys.version.split()[0], **{name: _version(name) for name in packages}}
+
+
+def _version(package: str) -> str:
+    """``unknown`` for a package that is used without having been installed, such as a checkout."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "unknown"
 
 
 def _git(*arguments: str) -> str:

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.metadata import PackageNotFoundError
 from itertools import count
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.output.claims import ClaimedError, OutputError, clear_up
 from limslam_agent.output.finished_run import FolderError, read_run
+from limslam_agent.output.provenance import versions
 from limslam_agent.output.run_folder import RESULT_FILE, new_folder
 
 _PRELUDE = """
@@ -232,3 +234,12 @@ def test_only_what_dead_processes_left_is_removed_at_the_next_start(tmp_path):
     write(tmp_path / "next", "newer", force=True)
     assert names(tmp_path) == [".bashrc", "dead", "next"]
     assert texts(tmp_path / "next") == whole("newer")
+
+
+def test_a_package_that_is_not_installed_has_an_unknown_version(monkeypatch):
+    def not_installed(package):
+        raise PackageNotFoundError(package)
+
+    assert versions()["limslam"] != "unknown"
+    monkeypatch.setattr("limslam_agent.output.provenance.version", not_installed)
+    assert set(versions().values()) - {versions()["python"]} == {"unknown"}
