@@ -204,7 +204,7 @@ def _read(kind: type[Message], words: list[str], *, has_heading: bool = False) -
             raise BadLineError(f"{values[name]!r} is not {NAME_RULE}")
     if any(each is not None and not 0 <= each <= NOTHING_SEEN for each in values.get("ranges", ())):
         raise BadLineError(f"a range is not a number from 0 to {NOTHING_SEEN}")
-    if abs(values.get("yaw", 0)) >= _SPAN // 2:
+    if not -_SPAN // 2 <= values.get("yaw", 0) < _SPAN // 2:
         raise BadLineError("a heading has 32 bits with a sign")
     try:
         for name, bounds in bounds_of(kind):  # type: ignore[arg-type] # mypy takes a class for its object

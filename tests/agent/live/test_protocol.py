@@ -10,7 +10,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from support.command_line import limslam
 from support.esp32 import run_sketch
@@ -84,6 +84,7 @@ AT_ANY_SPEED = settings(deadline=None, suppress_health_check=[HealthCheck.too_sl
 
 @AT_ANY_SPEED
 @given(HELLOS | TELEMETRY | COMMANDS)
+@example(Telemetry(0, 0, 0, 0, 0, 0, (None,), yaw=-(1 << 31)))
 def test_a_message_comes_back_from_its_line(message):
     line = encode(message)
     assert len(line) <= LONGEST_LINE
