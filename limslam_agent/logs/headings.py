@@ -11,7 +11,9 @@ from limslam_env.geometry.se2 import wrap_angle
 
 _LEAST_TURNED = 1.0  # rad by the wheels, below which nothing can be said about another heading
 _LARGEST_STEP = 1.0  # rad by the wheels between two headings that are compared
-_FULL_TURN = 6.6  # headings in radians that lie farther apart than this are not wrapped
+FULL_TURN = 6.6
+"""Headings in radians that lie farther apart than this are not wrapped, rad."""
+
 # A heading follows the wheels if it turns by their turn within this factor, and correlates. Slip
 # and a wrong axle explain the factor.
 _LARGEST_FACTOR = 2.5
@@ -93,7 +95,7 @@ def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | N
     """
     if np.abs(turns).sum() < _LEAST_TURNED:
         first, *others = choices
-        is_wide = bool(others) and float(np.ptp(np.nan_to_num(choices[first]))) > _FULL_TURN
+        is_wide = bool(others) and float(np.ptp(np.nan_to_num(choices[first]))) > FULL_TURN
         return (others[0] if is_wide else first), 1.0
     best, factor, correlation = None, 1.0, _LEAST_CORRELATION
     by_wheels = np.cumsum(turns)

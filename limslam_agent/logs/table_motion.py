@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.logs.columns import Dimension, Role
-from limslam_agent.logs.headings import heading_beside_wheels
+from limslam_agent.logs.headings import FULL_TURN, heading_beside_wheels
 from limslam_agent.logs.table_layout import Form, Layout
 from limslam_agent.logs.table_options import TableOptions, scale
 from limslam_env.geometry import FloatArray, se2
@@ -20,7 +20,6 @@ _SPEEDS = {Dimension.SPEED, Dimension.TURN_RATE}
 # rad/s: a robot that turns faster for more than one row in twenty has its heading in degrees
 _FASTEST_TURN = 2.0 * np.pi
 _MOST_NAMED = 5  # times in a note
-_FULL_TURN = 6.6  # headings in radians that lie farther apart than this are not wrapped
 
 
 @dataclass(frozen=True)
@@ -239,7 +238,7 @@ class _Conversion:
             rates = np.abs(raw[1:]) / np.maximum(self.spacing[1:], 1e-9)
         else:
             rates = np.abs(np.diff(raw)) / np.maximum(self.spacing[1:], 1e-9)
-            if np.ptp(raw) < _FULL_TURN:
+            if np.ptp(raw) < FULL_TURN:
                 rates = rates[:0]
         moving = rates[rates > 0.0]
         fast = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
