@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scoreboard.compare import CPU
-from benchmarks.scoreboard.drives import recorded_drive, shaken, world_of
+from benchmarks.scoreboard.drives import recorded_drive, shaken
 from benchmarks.scoreboard.rows import Row
+from benchmarks.scoreboard.worlds import world_of
 from benchmarks.suite.faults import fault_scores
 from benchmarks.suite.jobs import Job, Outcome
 from benchmarks.suite.runner import data_file
