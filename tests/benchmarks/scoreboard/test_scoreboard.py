@@ -17,7 +17,7 @@ from benchmarks.scoreboard.made_up_logs import (
     thinned,
     walls_of,
 )
-from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
+from benchmarks.scoreboard.measure import at_the_end, measure, scaled_error, while_driving
 from benchmarks.scoreboard.rows import Row, read_rows
 from benchmarks.scoreboard.worlds import world_of
 from benchmarks.suite.person import ranges_to
@@ -236,7 +236,18 @@ def test_seconds_are_counted_by_hand_made_errors():
     estimated = np.zeros((5, 1, 3))
     estimated[1:3, 0, 0] = 0.6
     levels = np.array([[1], [0], [1], [2], [0]])
-    assert while_driving(time, true, estimated, levels) == {"wrong_ok_s": 1.0, "false_alarm_s": 2.0}
+    assert while_driving(time, true, estimated, levels) == {
+        "wrong_ok_s": 1.0,
+        "longest_wrong_ok_s": 1.0,
+        "false_alarm_s": 2.0,
+    }
+    twice = while_driving(
+        time, true, estimated + np.array([0.6, 0.0, 0.0]), np.array([[0], [0], [1], [0], [0]])
+    )
+    assert (twice["wrong_ok_s"], twice["longest_wrong_ok_s"]) == (3.0, 2.0)
+    longer = 1.03 * estimated + np.array([4.0, 0.0, 0.0])
+    assert scaled_error(estimated[:, 0], longer[:, 0]) == pytest.approx(0.0, abs=1e-9)
+    assert at_the_end("ok", true, estimated)["wrong_ok_end"] == 0
     line = np.column_stack((np.linspace(0.0, 9.0, 5), np.zeros(5), np.zeros(5)))[:, None]
     bent = line + np.array([0.0, 3.0, 0.0]) * (np.arange(5) == 2)[:, None, None]
     assert at_the_end("ok", line, bent)["wrong_ok_end"] == 1
