@@ -89,6 +89,7 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
         assert 0.0 < cell["ate_smoothed_m"] < 0.3
         assert cell["status"] == "ok"
     lines = table(board)
+    assert "| 2 (2) |" in lines[4]
     assert sum(line.startswith(("| nominal | 2 |", "| late | 1 |")) for line in lines) == 2
     found = compared(board["cells"], board["cells"])
     assert [(each.row, each.ratios["ate_m"].value) for each in found] == [
@@ -356,7 +357,7 @@ def test_the_size_of_sources_is_counted(tmp_path):
         '"""A part."""\n\nONE = 1\nNAME = "a"\nPAIR = (2, "b")\n\n\ndef f(x):\n    """F."""\n    '
         "y = 3\n    return y\n"
     )
-    assert size_of([path]) == {"lines": 11, "files": 1, "constants": 2}
+    assert size_of([path]) == {"tokens": 19, "lines": 11, "files": 1, "constants": 2}
 
 
 @pytest.fixture(scope="module")
