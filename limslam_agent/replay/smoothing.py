@@ -30,7 +30,7 @@ from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
-from limslam_agent.status.status import LEVELS, lost_since, smoothed_status
+from limslam_agent.status.status import lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec
@@ -199,11 +199,7 @@ def smoothed_by_lines(
         return replay
     poses = found.poses[:, 0]
     status = smoothed_status(
-        found.contradictions,
-        (run.poses, run.covariances),
-        (found.poses, found.covariances),
-        while_driving=LEVELS[int(replay.levels.max())],
-        lost_since=lost_since(log.time, placed),
+        found.contradictions, found.covariances, lost_since=lost_since(log.time, placed)
     )
     if status.level == "ok":
         status = places.doubt
