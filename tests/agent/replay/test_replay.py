@@ -296,8 +296,8 @@ def test_the_longest_stretch_without_a_loop_is_found():
         (
             replace(SURE, covariances=within(0.4), loose=(3.0, 61.0)),
             (
-                "the chance that a pose of the path is more than 0.5 m off is 21 % (standard deviation "
-                "0.40 m), as no recognised place holds the path from 3 to 61 s"
+                "the chance that a pose of the path is more than 0.5 m off is 21 % (standard "
+                "deviation 0.40 m), as no recognised place holds the path from 3 to 61 s"
             ),
         ),
     ],
@@ -306,23 +306,16 @@ def test_the_status_names_each_reason(found, words):
     assert (found.status.level, found.status.reason) == ("unsure" if words else "ok", words)
 
 
-def test_another_path_is_better_if_its_visits_agree_better_on_as_much():
-    wrong = replace(SURE, confirmed=0.5, contradicted=0.05)
-    assert wrong.is_worse_than(replace(wrong, confirmed=0.4, contradicted=0.03))
-    assert not wrong.is_worse_than(replace(wrong, confirmed=0.4, contradicted=0.05))
-    assert not wrong.is_worse_than(replace(wrong, confirmed=0.02, contradicted=0.0))
-
-
 def test_a_log_whose_readings_say_less_than_odometry_follows_odometry(monkeypatch):
     data, truth = corridor_log(laps=1)
     few = data.hit & (np.random.default_rng(0).random(data.hit.shape) < 0.003)
 
     def stated(found, *_):
-        return replace(SURE, covariances=within(1.0 if found.kind == "odometry" else 100.0))
+        return replace(SURE, covariances=within(5.0 if found.kind == "odometry" else 100.0))
 
     monkeypatch.setattr("limslam_agent.replay.smoothing.path_signals", stated)
     found, judged = trusted_path(replace(data, hit=few), truth[0], BRIEF)
-    assert (found.kind, judged.position_std) == ("odometry", pytest.approx(1.0))
+    assert (found.kind, judged.position_std) == ("odometry", pytest.approx(5.0))
     moved = se2.compose(found.poses[0], se2.between(data.odometry[0], data.odometry))
     np.testing.assert_allclose(found.poses[:, :2], moved[:, :2], atol=1e-6)
     assert len(found.keys.point_key) > 0, "its map is drawn all the same"
