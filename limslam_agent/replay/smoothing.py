@@ -209,23 +209,29 @@ def smoothed_by_lines(
     basis = run.synchronous.until(placed)
     figures = _line_figures(found, has_heading=run.has_headings)
     smoothed = Smoothed(poses, figures, None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
+    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot, found.ranges)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed
     )
 
 
 def draw_grid(
-    replays: Sequence[Replay], paths: Sequence[FloatArray], robot: RobotSpec | None = None
+    replays: Sequence[Replay],
+    paths: Sequence[FloatArray],
+    robot: RobotSpec | None = None,
+    corrected: FloatArray | None = None,
 ) -> GridView:
     """The occupancy grid of the first readings of logs from their poses (n, 3), by their robot or
     by one like it.
+
+    The readings (t, k, n_beams), m, of the k logs may have been ``corrected``.
     """
     grid = OccupancyGrid(replays[0].config.grid)
-    for replay, poses in zip(replays, paths, strict=True):
+    for number, (replay, poses) in enumerate(zip(replays, paths, strict=True)):
         log = replay.log
         rows = np.flatnonzero(log.has_scan[: len(poses)])
-        ranges = log.ranges[rows, None].astype(np.float64)
+        readings = log.ranges if corrected is None else corrected[:, number]
+        ranges = readings[rows, None].astype(np.float64)
         measured = np.isfinite(ranges)
         if replay.sensor is not None:
             measured[..., list(replay.sensor.broken)] = False

@@ -158,7 +158,7 @@ def joined_by_lines(replays: Replays, frame: FloatArray, report: Report) -> Join
     status = smoothed_status(smoothed.contradictions, smoothed.covariances)
     if status.level != "ok":
         return status.reason
-    grid = draw_grid(replays, poses, smoothed.robot)
+    grid = draw_grid(replays, poses, smoothed.robot, smoothed.ranges)
     again = place_in(
         KnownPlaces(smoothed.segments, grid, sensor_of(replays[0])), replays[1], poses[1]
     )

@@ -35,8 +35,9 @@ def tally(found: Association) -> tuple[list[WallExtent], BoolArray]:
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
+    free = np.where(problem.is_hit, problem.true(looks, state.calibration), looks.distances)
     misses, through = count_crossings(
-        state, looks.places, problem.look_beams, looks.distances, low, hits, margin
+        state, looks.places, problem.look_beams, free, low, hits, margin
     )
     counted = np.stack((hits, misses), axis=1)
     return [

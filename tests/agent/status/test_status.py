@@ -90,7 +90,7 @@ STATED = RangeSensor(NOISE)
 
 def explained(segments, ranges=None, covariance=None, grid=FREE, sensor=STATED):
     ranges = ranges_at(POSE, WALLS) if ranges is None else ranges
-    rays = moved(step_rays(np.array(ranges), ROBOT, sensor.bias), POSE)
+    rays = moved(step_rays(sensor.corrected(np.array(ranges), ROBOT), ROBOT), POSE)
     return KnownMap(segments, grid, sensor).explained(rays, covariance), rays
 
 

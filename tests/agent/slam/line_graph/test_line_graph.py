@@ -225,7 +225,7 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
     )
     found = settle(run_of(measured, poses, FOUND), CONFIG)
     assert found.problem.sensor == FOUND
-    assert found.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
+    assert found.state.calibration[0, 3] == pytest.approx(0.0, abs=0.01)
     assert position_error(found.state, poses) < 0.02
 
 
