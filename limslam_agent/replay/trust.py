@@ -79,7 +79,7 @@ class PathSignals:
         covariances[:, :2, :2] = self.covariances
         far = float(chance_off(covariances).mean())
         mistaken = chance_mistaken(self.evidence)
-        chance, reasons = float(either(far, mistaken)), []
+        chance, reasons = either(far, mistaken), []
         if self.untied:
             times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
             reasons.append(
