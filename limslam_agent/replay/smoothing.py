@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -92,26 +92,20 @@ def trusted_path(
 ) -> tuple[GraphResult, PathSignals]:
     """The smoothed log with its signals.
 
-    As long as it is doubtful, there are more rounds, and a path is taken whose visits agree better.
-    The path of odometry is taken if its own errors are expected to be smaller.
+    As long as it is doubtful, there are more rounds, and the path is taken that is off least
+    likely, which may be that of odometry.
     """
-    known = data.time - data.time[0], config, (data.max_range, data.range_std)
-    judged = ((found, path_signals(found, *known)) for found in rounds(data, start, config, report))
-    best = next(judged)
-    for _ in range(_MORE_ROUNDS):
-        if best[1].status.level == "ok":
-            break
-        other = next(judged, best)
-        if best[1].is_worse_than(other[1]):
-            best = other
-    if best[1].status.level == "ok":
-        return best
+    known, found = (data.time - data.time[0], config, (data.max_range, data.range_std)), []
+    for path in islice(rounds(data, start, config, report), 1 + _MORE_ROUNDS):
+        found.append((path, path_signals(path, *known)))
+        if found[-1][1].status.level == "ok":
+            return found[-1]
     blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
-    path = odometry_trajectory(best[0].keys, start)
-    odometry = replace(blind, keys=best[0].keys, trajectory=path)
-    signals = path_signals(odometry, *known)
-    signals = replace(signals, covariances=path_signals(blind, *known).covariances)
-    return (odometry, signals) if signals.position_std < best[1].position_std else best
+    keys = found[0][0].keys
+    path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
+    covariances = path_signals(blind, *known).covariances
+    found.append((path, replace(path_signals(path, *known), covariances=covariances)))
+    return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:

@@ -231,7 +231,7 @@ class StatusMonitor:
             self.by_readings = self.loss.status
         suspicion, by_covariance = self._changes.suspicion, float(chance_off(covariance))
         self.mistaken = 0.0 if suspicion is None else chance_mistaken(suspicion.evidence)
-        chance = float(either(by_covariance, self.mistaken))
+        chance = either(by_covariance, self.mistaken)
         is_mistaken = self.mistaken > by_covariance
         reason = CARRIED.reason if is_mistaken else in_words(chance, covariance)
         is_lost = self.by_readings.level == "lost"
