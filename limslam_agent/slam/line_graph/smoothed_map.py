@@ -14,14 +14,18 @@ from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.crossings import count_crossings
 from limslam_agent.slam.line_graph.problem import Readings, State
-from limslam_agent.slam.line_graph.reassociation import Association, places_along
+from limslam_agent.slam.line_graph.reassociation import (
+    Association,
+    places_along,
+    solve_again,
+)
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 
 
-def tally(found: Association) -> tuple[list[WallExtent], int]:
+def tally(found: Association) -> tuple[list[WallExtent], float]:
     """Where along each line of a solution beams ended and passed, and the number of beams that
-    passed through walls.
+    contradict walls.
     """
     problem, state, used = found.problem, found.state, found.labels >= 0
     looks = problem.looks
@@ -44,6 +48,21 @@ def tally(found: Association) -> tuple[list[WallExtent], int]:
     return [
         WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)
     ], crossed
+
+
+def lasting(found: Association) -> Association:
+    """The optimum without the readings of what did not last, as somebody who walked by: of places
+    where more beams passed than ended.
+    """
+    along, labels = places_along(found.problem, found.state, found.labels), found.labels.copy()
+    for index, extent in enumerate(tally(found)[0]):
+        own = np.flatnonzero(labels == index)
+        bins = np.floor(along[own] / BIN).astype(np.int64) - extent.low
+        hits, misses = extent.counted[:, bins]
+        labels[own[misses > THROUGH_TOLERANCE * hits]] = -1
+    if np.array_equal(labels, found.labels):
+        return found
+    return solve_again(found.problem, found.state, labels)
 
 
 def contradictions(found: Association) -> float:
