@@ -29,7 +29,7 @@ from limslam_agent.slam.line_graph.problem import (
     state_from_poses,
 )
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
-from limslam_agent.slam.line_graph.smoothed_map import contradictions, smoothed_map
+from limslam_agent.slam.line_graph.smoothed_map import contradictions, lasting, smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, turned, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -272,7 +272,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     if np.count_nonzero(labels >= 0) < FEWEST:
         return None
     try:
-        best = reassociate(problem, state_from_poses(problem, run.poses), labels)
+        best = lasting(reassociate(problem, state_from_poses(problem, run.poses), labels))
         if config.calibrate == "if_needed" and not run.has_headings:
             best = _calibrated_if_needed(best, run, labels)
     except DegenerateError:
@@ -287,7 +287,7 @@ def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray
     sized = _calibrated(found.problem)
     if not _has_errors(sized, solve(sized, found.state, found.labels)):
         return found
-    again = reassociate(sized, state_from_poses(sized, run.poses), labels)
+    again = lasting(reassociate(sized, state_from_poses(sized, run.poses), labels))
     return again if _has_errors(sized, again.solution) else found
 
 
