@@ -10,7 +10,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.suite.jobs import FAULTS, LAPS_POLICY, RANDOM
+from benchmarks.suite.faults import FAULTS
+from benchmarks.suite.jobs import LAPS_POLICY, RANDOM
 from benchmarks.suite.store import Row
 from limslam_env.geometry import FloatArray
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.scoreboard.rows import Row
-from benchmarks.suite.faults import DRIVE_FAULTS, Fault, drawn_slips, with_fault
-from benchmarks.suite.runner import world_source
+from benchmarks.suite.faults import Fault, drawn_slips, with_fault
+from benchmarks.suite.person import ranges_to, walk
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED
@@ -20,14 +20,8 @@ from limslam_env.bounds import Roadmap
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World
 
-PILLARS = "pillars:"
-"""Beginning of the names of floor plans with many pillars; the seed follows."""
-
-_PILLARS = FloorPlanConfig(obstacles=6.0, obstacle_size=(0.2, 0.35), slanted=0.0)
 _CANDIDATES = 8  # places of which the next goal is chosen
 _NEW = 0.6  # share of goals that are far from all where the robot has been
 LEAST_WAY = 1.0
@@ -39,14 +33,6 @@ Driver = Callable[[FloatArray, bool], FloatArray]
 """Wheel speeds (2,) by the true pose (3,) and whether the robot touches something."""
 
 
-def world_of(name: str) -> World:
-    """The world of a cell, by its name."""
-    if not name.startswith(PILLARS):
-        return load_world(world_source(name))
-    generator = np.random.default_rng(int(name.removeprefix(PILLARS)))
-    return replace(floor_plan(_PILLARS, generator, RobotSpec().radius), name=name)
-
-
 def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> RecordedLog:
     """The drive of a row, with the readings that its robot reports. It is the same for the same
     arguments.
@@ -54,10 +40,12 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     ``jitter`` is the standard deviation of further noise of the ranges, m, by which the noise of
     the scoreboard itself is measured.
     """
-    robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
+    robot = row.robot
+    generator = np.random.default_rng([seed, 1])
+    fault = None if row.fault is None else Fault(row.fault, 0.0, seed, robot, size=row.fault_size)
     turns = np.zeros(len(robot.beams))
-    if row.fault == "turned beam":
-        turns[seed % len(robot.beams)] = math.radians(DRIVE_FAULTS[row.fault])
+    if fault is not None and fault.kind == "turned beam":
+        turns[fault.beam] = math.radians(fault.size)
     true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
     noise = (
         row.true_noise
@@ -75,8 +63,12 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
         else _from_place_to_place(env, infos[name]["pose"], generator)
     )
     rows = [(observed[name], infos[name])]
-    for _ in range(round(row.seconds / robot.control_period)):
-        action = drive(infos[name]["pose"], infos[name]["collision"])
+    driving, standing = (round(each / robot.control_period) for each in (row.seconds, row.stands))
+    for step in range(driving + standing):
+        is_standing = driving // 2 <= step < driving // 2 + standing
+        action = (
+            np.zeros(2) if is_standing else drive(infos[name]["pose"], infos[name]["collision"])
+        )
         observed, _, _, _, infos = env.step({name: action})
         rows.append((observed[name], infos[name]))
     ranges, wheels = (
@@ -85,17 +77,22 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     true = np.array([info["pose"] for _, info in rows])
     ranges = shaken(ranges, robot, jitter, seed)
     time = robot.control_period * np.arange(float(len(rows)))
-    if row.fault:
-        begin = time[round(_BEAM_BEGINS * len(rows))] if row.fault == "delayed" else 0.0
-        slips = drawn_slips(len(rows), generator) if row.fault == "slips" else {}
-        ranges, wheels = with_fault(
-            Fault(row.fault, begin, seed, robot, slips), ranges, wheels, time
-        )
+    if fault is not None:
+        if fault.kind == "delayed":
+            fault.begin = time[round(_BEAM_BEGINS * len(rows))]
+        if fault.kind == "slips":
+            fault.script = drawn_slips(len(rows), generator, fault.size)
+        if fault.kind == "person":
+            centres = walk(world, robot, fault.size, true, generator)
+            to_person = ranges_to(centres, fault.size, true_robot, true)
+            fault.script = to_person + row.noise * generator.standard_normal(ranges.shape)
+        ranges, wheels, arrives = with_fault(fault, ranges, wheels, time)
+        time, true = time[arrives], true[arrives]
     return RecordedLog(
         robot=robot,
         time=time,
         ranges=ranges.astype(np.float32),
-        has_scan=np.ones(len(rows), dtype=np.bool_),
+        has_scan=np.ones(len(time), dtype=np.bool_),
         start_pose=true[0],
         wheels=wheels,
         true_pose=true,

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scoreboard.compare import CPU
-from benchmarks.scoreboard.drives import recorded_drive, shaken, world_of
+from benchmarks.scoreboard.drives import recorded_drive, shaken
 from benchmarks.scoreboard.rows import Row
+from benchmarks.scoreboard.worlds import world_of
 from benchmarks.suite.faults import fault_scores
 from benchmarks.suite.jobs import Job, Outcome
 from benchmarks.suite.runner import data_file
@@ -24,10 +25,11 @@ from limslam_agent.replay.replay import relation_scores, replay_log
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import over_robots, score
 from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.status.chance import TURNED
 from limslam_agent.status.status import LEVELS
 from limslam_env import metrics
-from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.worlds.world import World
@@ -76,6 +78,7 @@ def _drive(row: Row, job: Job, jitter: float) -> Scores:
     return {
         **path_scores(true, found.estimated[:, None], found.covariances[:, None], ""),
         **({} if poses is None else path_scores(true, poses, covariances, "_smoothed")),
+        **path_scores(true, found.odometry[:, None], None, "_odometry"),
         **while_driving(log.time, true, found.estimated[:, None], found.levels[:, None]),
         **_wall_scores(world, log, found, true[:, 0] if poses is None else poses[:, 0]),
         **at_the_end(
@@ -135,6 +138,7 @@ def path_scores(
         found = {
             f"ate{suffix}_m": errors["ate_m"],
             f"ate{suffix}_aligned_m": errors["ate_aligned_m"],
+            f"ate{suffix}_scaled_m": scaled_error(*columns[:2]),
         }
         nees = (
             {f"nees{suffix}": metrics.consistency_metrics(*columns)["anees"]}
@@ -146,20 +150,46 @@ def path_scores(
     return over_robots(of_one, true, poses, *(() if covariances is None else (covariances,)))
 
 
+def scaled_error(true: FloatArray, estimated: FloatArray) -> float:
+    """The root mean square of the position errors of poses (n, 3), m, after alignment by a rigid
+    motion and one scale.
+    """
+    alignment = metrics.rigid_alignment(true[:, :2], estimated[:, :2])
+    target = true[:, :2] - true[:, :2].mean(axis=0)
+    source = transform_points(alignment, estimated[:, :2])
+    source -= source.mean(axis=0)
+    spread = float((source**2).sum())
+    scale = float((source * target).sum()) / spread if spread else 1.0
+    return float(np.sqrt(((target - scale * source) ** 2).sum(axis=1).mean()))
+
+
 def while_driving(
     time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray
 ) -> Scores:
     """How long poses (t, n, 3) were wrong although the status (t, n) was ok, and right although it
-    was not, s.
+    was not, and how long it was ok, and off all the same: wrong, or turned too far, s.
 
-    The times of several robots are added.
+    The times of several robots are added. Also the longest time that one was wrong without a break
+    and the status ok.
     """
     errors = np.hypot(*(estimated - true)[..., :2].transpose(2, 0, 1))
+    is_off = (errors > WRONG) | (np.abs(wrap_angle((estimated - true)[..., 2])) > TURNED)
     lasts, is_ok = np.append(np.diff(time_s), 0.0)[:, None], levels == LEVELS.index("ok")
+    is_wrong = is_ok & (errors > WRONG)
     return {
-        "wrong_ok_s": float((lasts * (is_ok & (errors > WRONG))).sum()),
+        "wrong_ok_s": float((lasts * is_wrong).sum()),
+        "longest_wrong_ok_s": max(_longest(lasts[:, 0], one) for one in is_wrong.T),
         "false_alarm_s": float((lasts * (~is_ok & (errors < RIGHT))).sum()),
+        "ok_s": float((lasts * is_ok).sum()),
+        "off_ok_s": float((lasts * (is_ok & is_off)).sum()),
     }
+
+
+def _longest(lasts: FloatArray, holds: BoolArray) -> float:
+    """The longest time for which something holds (t,) without a break, of steps that last (t,)."""
+    total = np.append(0.0, np.cumsum(lasts))
+    begins, ends = np.flatnonzero(np.diff(holds, prepend=0, append=0)).reshape(-1, 2).T
+    return float((total[ends] - total[begins]).max(initial=0.0))
 
 
 def at_the_end(level: str, true: FloatArray, poses: FloatArray) -> Scores:
@@ -217,6 +247,7 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
             if smoothed is None
             else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
         )
+        paths |= path_scores(true, episode.odometry[:, placed], None, "_odometry")
         paths |= {"placed": int(episode.placed_robots == row.robots)} if row.unknown_starts else {}
     else:
         # Of a lost robot, the filter's path is in another frame, and covariances say nothing.
@@ -252,7 +283,7 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
     errors = relation_scores(found, read_relations(data_file(row.relations)))
     scores = {
         f"ate{suffix}{kind}_m": errors.get(f"{prefix}{name}")
-        for prefix, suffix in (("", ""), ("smoothed_", "_smoothed"))
+        for prefix, suffix in (("", ""), ("smoothed_", "_smoothed"), ("odometry_", "_odometry"))
         for kind, name in (("", "relation_error_m"), ("_aligned", "loop_relation_error_m"))
     }
     level, loops = _final_level(found), scores["ate_smoothed_aligned_m"]

@@ -2,18 +2,20 @@
 under it.
 """
 
+import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.suite.faults import DRIVE_FAULTS
+from benchmarks.suite.faults import FAULTS
 from benchmarks.suite.jobs import Job
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.tables import built, read_toml
 from limslam_env.config import NoiseConfig
+from limslam_env.interface import RobotSpec
 
 SHIPPED = Path(__file__).parent / "rows.toml"
 
@@ -42,10 +44,15 @@ class Row:
     # Whether the robot of a drive drives straight on until it hits something, instead of from place
     # to place
     bumps: bool = False
-    # A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of
+    # How long the robot of a drive stands in its middle, s, beside ``seconds``
+    stands: float = 0.0
+    # Half the opening of the beams, rad, in truth and as the estimator is told
+    cone: float = 0.0
+    # fault, fault_size: a fault that the estimator is not told of, one of ``FAULTS`` of
     # :mod:`benchmarks.suite.faults`, from the start on (``delayed``: in the second half of the
-    # drive)
+    # drive), and its size where it is not that of the kind
     fault: str | None = None
+    fault_size: float = math.nan
     # robots, unknown_starts, kidnapped: number of robots of an exploration, whether the second
     # one's start is unknown, and the earliest and the latest time at which the robot is kidnapped,
     # s
@@ -66,12 +73,13 @@ class Row:
             raise ValueError("the noise is 0 m or more, and the time is above 0 s")
         if self.kind == "log" and not (self.file and self.relations and self.beams):
             raise ValueError("a log needs its file, relations and beams")
-        if self.fault is not None and self.fault not in DRIVE_FAULTS:
-            raise ValueError(
-                f"no fault is called {self.fault!r}; there are {', '.join(DRIVE_FAULTS)}"
-            )
-        if self.kind != "drive" and (self.fault or self.bumps):
-            raise ValueError("fault and bumps go with the kind drive")
+        if self.fault is not None and self.fault not in FAULTS:
+            raise ValueError(f"no fault is called {self.fault!r}; there are {', '.join(FAULTS)}")
+        if self.kind != "drive" and (self.fault or self.bumps or self.stands or self.cone):
+            raise ValueError("fault, bumps, stands and cone go with the kind drive")
+        if self.cone:
+            true_noise = replace(self.true_noise, cone=self.cone)
+            object.__setattr__(self, "true_noise", true_noise)
         if self.kind != "exploration" and (self.robots > 1 or self.kidnapped):
             raise ValueError("robots and kidnapped go with the kind exploration")
 
@@ -89,6 +97,11 @@ class Row:
             for seed in range(first_seed, first_seed + self.seeds)
             for world in self.worlds
         ]
+
+    @property
+    def robot(self) -> RobotSpec:
+        """The robot as the estimator is told of it."""
+        return RobotSpec(cone=self.cone)
 
     @property
     def needs_data(self) -> bool:

@@ -4,96 +4,228 @@ began.
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.suite.jobs import FAULTS, Job, Metric
+from benchmarks.suite.jobs import KIDNAPPED, Job, Metric
 from limslam_agent.runs.record import Episode
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Observation, RobotSpec
 
-DRIVE_FAULTS = {**FAULTS, "turned beam": 5.0, "slips": 14.0}
-"""Faults of recorded drives, and their sizes: ``turned beam``: one beam is mounted so many degrees
-to the left, by the simulator; ``slips``: the robot turns by so many degrees, to either side, and
-its wheels do not notice.
-"""
-
 RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
 """A robot is at the right place if its pose is not farther off, m and rad."""
+
+_OLDEST = 100  # steps; readings that are older are never reported
+_BETWEEN_GAPS = 30.0  # s from the beginning of a gap to that of the next one
 
 
 @dataclass(eq=False)
 class Fault:
-    """One fault of a robot, of a kind in :data:`DRIVE_FAULTS`, which alters what it reports from a
-    time (s) on.
+    """One fault of a robot, of a kind in :data:`FAULTS`, which alters what it reports from a time
+    (s) on.
 
-    The seed chooses the beam, and ``robot`` is without the fault. ``slips`` has the turns (rad)
-    that the wheels do not notice, by the number of the step.
+    The seed chooses the beam, and ``robot`` is without the fault. ``size`` is that of the kind
+    where none is given. ``script`` has what happens in each step of a recorded drive: the turn
+    (rad) that the wheels do not notice, or the ranges (n_beams,) to a person, m.
     """
 
     kind: str
     begin: float = 0.0
     seed: int = 0
     robot: RobotSpec = field(default_factory=RobotSpec)
-    slips: Mapping[int, float] = field(default_factory=dict)
-    _earlier: deque[ReadingArray] = field(default_factory=deque)
-    _steps: int = 0
-    _has_begun: bool = False
+    script: FloatArray = field(default_factory=lambda: np.zeros(0))
+    size: float = math.nan
+    step: int = field(default=-1, init=False)
+    first_step: int | None = field(default=None, init=False)
+    last: ReadingArray | None = field(default=None, init=False)
+    """The ranges as they were reported in the step before; None before the fault."""
 
-    @property
-    def size(self) -> float:
-        """How large it is."""
-        return DRIVE_FAULTS[self.kind]
+    def __post_init__(self) -> None:
+        if math.isnan(self.size):
+            self.size = FAULTS[self.kind].size
+        self._earlier: deque[ReadingArray] = deque(maxlen=_OLDEST)
+        self._generator = np.random.default_rng([self.seed, 3])
 
     @property
     def beam(self) -> int:
         """Number of the beam that has a fault of one beam."""
         return self.seed % len(self.robot.beams)
 
-    def altered(self, told: Observation, time: float) -> Observation:  # noqa: C901 (a case for each kind)
-        """The observation as the robot with the fault reports it. Called once a step."""
-        late = self._late(told["ranges"])
-        step, self._steps = self._steps, self._steps + 1
-        if time < self.begin - 1e-9:
-            return told
-        is_first, self._has_begun = not self._has_begun, True
-        ranges, wheels = told["ranges"].copy(), told["wheels"].copy()
-        if self.kind == "late":
-            ranges = late
-        elif self.kind == "delayed":
-            ranges[self.beam] = late[self.beam]
-        elif self.kind == "dead beam":
-            ranges[self.beam] = self.robot.max_ranges[self.beam]
-        elif self.kind == "stuck beam":
-            ranges[self.beam] = self.size
-        elif self.kind == "offset":
-            ranges[ranges < self.robot.too_far] += self.size
-        elif self.kind == "reversed":
-            wheels = -wheels
-        elif self.kind == "swapped":
-            wheels = wheels[::-1]
-        elif self.kind == "jump" and is_first:
-            wheels += self.size
-        elif self.kind == "slips":
-            # Turning to the left without notice means that the wheels report a turn to the right
-            # too little.
-            wheels += 0.5 * self.robot.axle * self.slips.get(step, 0.0) * np.array([1.0, -1.0])
-        return Observation(ranges=ranges, wheels=wheels)
-
-    def _late(self, ranges: ReadingArray) -> ReadingArray:
+    @property
+    def late(self) -> ReadingArray:
         """The readings of ``size`` seconds ago; of now where there were none yet."""
-        if self.kind not in {"late", "delayed"}:
-            return ranges
-        self._earlier.append(ranges)
-        return (
-            self._earlier.popleft()
-            if len(self._earlier) > round(self.size / self.robot.control_period)
-            else ranges
-        )
+        age = round(self.size / self.robot.control_period)
+        return self._earlier[-1 - age if len(self._earlier) > age else -1]
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether a step is one of ``size`` steps, by chance. Asked once a step."""
+        return bool(self._generator.random() * self.size < 1.0)
+
+    @property
+    def is_in_gap(self) -> bool:
+        """Whether a step is in one of the gaps, of ``size`` seconds, that come again and again."""
+        since = self.step * self.robot.control_period + self.seed % (0.5 * _BETWEEN_GAPS)
+        return since % _BETWEEN_GAPS >= _BETWEEN_GAPS - self.size - 1e-9
+
+    def altered(self, told: Observation, time: float) -> Observation:
+        """The observation as the robot with the fault reports it; empty if it does not arrive.
+        Called once a step.
+        """
+        self.step += 1
+        self._earlier.append(told["ranges"])
+        kind = FAULTS[self.kind]
+        if time < self.begin - 1e-9 or kind.alter is None:
+            return told
+        if self.first_step is None:
+            self.first_step = self.step
+        ranges, wheels = told["ranges"].copy(), told["wheels"].copy()
+        has_arrived = kind.alter(self, ranges, wheels)
+        self.last = ranges
+        return Observation() if has_arrived is False else Observation(ranges=ranges, wheels=wheels)
+
+
+Alteration = Callable[[Fault, ReadingArray, ReadingArray], bool | None]
+"""Alters the ranges (n_beams,) and the wheel travel (2,) of a step in place. False says that
+nothing of the step arrives.
+"""
+
+
+def _late(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    ranges[:] = fault.late
+
+
+def _delayed(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    ranges[fault.beam] = fault.late[fault.beam]
+
+
+def _dead_beam(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    ranges[fault.beam] = fault.robot.max_ranges[fault.beam]
+
+
+def _stuck_beam(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    ranges[fault.beam] = fault.size
+
+
+def _offset(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    ranges[ranges < fault.robot.too_far] += fault.size
+
+
+def _scale(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    ranges[ranges < fault.robot.too_far] *= 1.0 + fault.size
+
+
+def _repeats(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    if fault.last is not None:
+        is_held = (fault.step - np.arange(len(ranges))) % round(fault.size) != 0
+        ranges[is_held] = fault.last[is_held]
+
+
+def _person(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del wheels
+    np.minimum(ranges, fault.script[fault.step], out=ranges)
+
+
+def _reversed(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del fault, ranges
+    wheels *= -1.0
+
+
+def _swapped(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del fault, ranges
+    wheels[:] = wheels[::-1].copy()
+
+
+def _jump(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del ranges
+    if fault.step == fault.first_step:
+        wheels += fault.size
+
+
+def _slips(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del ranges
+    # Turning to the left without notice means that the wheels report a turn to the right too
+    # little.
+    wheels += 0.5 * fault.robot.axle * fault.script[fault.step] * np.array([1.0, -1.0])
+
+
+def _lost_wheels(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
+    del ranges
+    if fault.is_drawn:
+        wheels[:] = 0.0
+
+
+def _lost_reports(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> bool:
+    del ranges, wheels
+    return not fault.is_drawn
+
+
+def _gaps(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> bool:
+    del ranges, wheels
+    return not fault.is_in_gap
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """A kind of fault: its size where none is given, what it does to the readings of a step, and
+    whether it is only for recorded drives.
+    """
+
+    size: float
+    alter: Alteration | None
+    is_recorded: bool = False
+
+
+FAULTS = {
+    KIDNAPPED: FaultKind(0.0, None),
+    "reversed": FaultKind(0.0, _reversed),
+    "swapped": FaultKind(0.0, _swapped),
+    "delayed": FaultKind(1.0, _delayed),
+    "jump": FaultKind(5.0, _jump),
+    "late": FaultKind(0.1, _late),
+    "dead beam": FaultKind(0.0, _dead_beam),
+    "stuck beam": FaultKind(0.4, _stuck_beam),
+    "offset": FaultKind(0.03, _offset),
+    "scale": FaultKind(0.03, _scale),
+    "repeats": FaultKind(5.0, _repeats),
+    "lost wheels": FaultKind(20.0, _lost_wheels),
+    "lost reports": FaultKind(20.0, _lost_reports, is_recorded=True),
+    "gaps": FaultKind(2.0, _gaps, is_recorded=True),
+    "person": FaultKind(0.2, _person, is_recorded=True),
+    "slips": FaultKind(14.0, _slips, is_recorded=True),
+    "turned beam": FaultKind(5.0, None, is_recorded=True),
+}
+"""All kinds of faults. In results of explorations, in the middle of which they can begin, they take
+the policy's place.
+
+``kidnapped``: the robot is carried to a random free place and turned, and its wheels do not turn.
+That is done by the run, and no reading is altered. ``reversed``: both wheels report the opposite of
+their travel. ``swapped``: each wheel reports the travel of the other one. ``jump``: the wheels
+report so many metres once. ``lost wheels``: in one of so many steps, the wheels report no travel.
+
+Of one beam, which the seed chooses: ``delayed``: it reports its reading of so many seconds ago;
+``dead beam``: it sees nothing; ``stuck beam``: it always reads so many metres. Of all beams:
+``late``: they report their readings of so many seconds ago; ``offset``: they read so many metres
+too much; ``scale``: they read too much by such a share; ``repeats``: they measure in turns, and
+each repeats its reading for so many steps.
+
+In recorded drives only: ``lost reports``: one of so many reports does not arrive, and its travel is
+never told; ``gaps``: nothing arrives for so many seconds, twice a minute; ``person``: somebody of
+such a radius (m) walks through the building, and the beams see them; ``slips``: the robot turns by
+so many degrees, to either side, and its wheels do not notice; ``turned beam``: one beam is mounted
+so many degrees to the left, by the simulator.
+"""
 
 
 def fault_begins(job: Job) -> float | None:
@@ -108,8 +240,9 @@ def fault_begins(job: Job) -> float | None:
     """
     if job.fault is None:
         return None
-    if job.fault not in FAULTS:
-        raise ValueError(f"no fault is called {job.fault!r}; there are {', '.join(FAULTS)}")
+    can_begin = [name for name, kind in FAULTS.items() if not kind.is_recorded]
+    if job.fault not in can_begin:
+        raise ValueError(f"no fault is called {job.fault!r}; there are {', '.join(can_begin)}")
     if not 0.0 < job.fault_time[0] <= job.fault_time[1]:
         raise ValueError("fault_time: must be two times above 0 s, the earliest and the latest")
     if not job.after_fault > 0.0:
@@ -123,24 +256,31 @@ def fault_begins(job: Job) -> float | None:
 
 def with_fault(
     fault: Fault, ranges: FloatArray, wheels: FloatArray, times: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Ranges (t, n_beams) and wheel travel (t, 2) of a recorded drive, as a robot with a fault
-    reports them.
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Ranges (k, n_beams) and wheel travel (k, 2) of a recorded drive, as a robot with a fault
+    reports them, and which of its steps (t,) arrive.
     """
     told = [
         fault.altered(Observation(ranges=seen, wheels=driven), time)
         for seen, driven, time in zip(ranges, wheels, times, strict=True)
     ]
-    return np.array([each["ranges"] for each in told]), np.array([each["wheels"] for each in told])
-
-
-def drawn_slips(steps: int, generator: np.random.Generator, count: int = 3) -> dict[int, float]:
-    """Slips to either side, spread over a drive: turns (rad) by the numbers of their steps."""
-    turns = math.radians(DRIVE_FAULTS["slips"]) * generator.choice((-1.0, 1.0), count)
-    places = np.linspace(0.0, steps, count + 2)[1:-1].astype(int)
-    return dict(
-        zip((places + generator.integers(-50, 50, count)).tolist(), turns.tolist(), strict=True)
+    arrived = [each for each in told if each]
+    return (
+        np.array([each["ranges"] for each in arrived]),
+        np.array([each["wheels"] for each in arrived]),
+        np.array([bool(each) for each in told]),
     )
+
+
+def drawn_slips(
+    steps: int, generator: np.random.Generator, degrees: float, count: int = 3
+) -> FloatArray:
+    """Slips to either side, spread over a drive: turns (rad) of its steps (t,)."""
+    turns = math.radians(degrees) * generator.choice((-1.0, 1.0), count)
+    places = np.linspace(0.0, steps, count + 2)[1:-1].astype(int)
+    slips = np.zeros(steps)
+    slips[places + generator.integers(-50, 50, count)] = turns
+    return slips
 
 
 def fault_scores(episode: Episode, begin: float) -> dict[str, Metric]:

@@ -9,28 +9,6 @@ from limslam_env.messages import counted
 
 LAPS_POLICY = "laps"
 KIDNAPPED = "kidnapped"
-FAULTS = {
-    KIDNAPPED: 0.0,
-    "reversed": 0.0,
-    "swapped": 0.0,
-    "delayed": 1.0,
-    "jump": 5.0,
-    "late": 0.1,
-    "dead beam": 0.0,
-    "stuck beam": 0.4,
-    "offset": 0.03,
-}
-"""Faults that can begin in the middle of an exploration, and their sizes. In results, they take the
-policy's place.
-
-``kidnapped``: the robot is carried to a random free place and turned, and its wheels do not turn.
-That is done by the run, and no reading is altered. ``reversed``: both wheels report the opposite of
-their travel. ``swapped``: each wheel reports the travel of the other one. ``jump``: the wheels
-report so many metres once. Of one beam, which the seed chooses: ``delayed``: it reports its reading
-of so many seconds ago; ``dead beam``: it sees nothing; ``stuck beam``: it always reads so many
-metres. Of all beams: ``late``: they report their readings of so many seconds ago; ``offset``: they
-read so many metres too much.
-"""
 RANDOM, PLAN = "random:", "plan:"
 OWN_PLAN = f"{RANDOM}seed"
 """The floor plan of the job's own seed."""

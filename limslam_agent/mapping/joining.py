@@ -293,7 +293,7 @@ class JoiningMapper(Mapper):
         for number, front in enumerate(slam.robots):
             slam.relocate(poses[-1, number], smoothed.covariances[-1, number], number)
             front.step = len(poses) - 1
-        grid, ranges = OccupancyGrid(self.config.grid), self._meeting.ranges
+        grid, ranges = OccupancyGrid(self.config.grid), smoothed.ranges
         is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
         self._use(slam, grid)

@@ -24,6 +24,7 @@ from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.chance import LIMIT
 from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
@@ -301,7 +302,7 @@ class Mapper(Frames):
         breaks, records = list(recovery.breaks), list(recovery.records)
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
-        is_suspicious = self._present.monitors[0].is_suspicious
+        is_suspicious = self._present.monitors[0].mistaken >= LIMIT
         slips = list(recovery.slips)
         return PlaceHistory(
             list(self._revisions), breaks, slips, self._unplaced, records, is_suspicious

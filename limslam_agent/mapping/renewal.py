@@ -82,7 +82,7 @@ class Renewal:
         self._rows.append(
             (
                 travel,
-                front.ranges,
+                front.reported,
                 front.measured,
                 self._slam.pose,
                 self._slam.covariance,
@@ -148,6 +148,14 @@ class Renewal:
             return True
         return bool(off @ np.linalg.solve(self._slam.covariance, off) <= ONE_WALL_GATE)
 
+    def draw_again(self) -> OccupancyGrid:
+        """Draw the grid again since the stretch began, with the readings as they are corrected
+        now.
+        """
+        if len(self._rows) > 1:
+            self.grid = self._drawn([row[3] for row in self._rows[1:]])
+        return self.grid
+
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
         grid = self._first_grid.copied()
@@ -155,7 +163,7 @@ class Renewal:
         grid.draw(
             self._slam.mounted,
             np.array(poses)[:, None],
-            np.array(ranges)[:, None],
+            self._slam.range_sensor.corrected(np.array(ranges), self._slam.robot)[:, None],
             np.array(measured)[:, None],
         )
         return grid

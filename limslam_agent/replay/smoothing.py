@@ -24,13 +24,13 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.graph.chunk_graph import KEPT
-from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.key_poses import LogData, odometry_trajectory
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
-from limslam_agent.status.status import LEVELS, lost_since, smoothed_status
+from limslam_agent.status.status import lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec
@@ -93,6 +93,7 @@ def trusted_path(
     """The smoothed log with its signals.
 
     As long as it is doubtful, there are more rounds, and a path is taken whose visits agree better.
+    The path of odometry is taken if its own errors are expected to be smaller.
     """
     known = data.time - data.time[0], config, (data.max_range, data.range_std)
     judged = ((found, path_signals(found, *known)) for found in rounds(data, start, config, report))
@@ -103,7 +104,14 @@ def trusted_path(
         other = next(judged, best)
         if best[1].is_worse_than(other[1]):
             best = other
-    return best
+    if best[1].status.level == "ok":
+        return best
+    blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
+    path = odometry_trajectory(best[0].keys, start)
+    odometry = replace(blind, keys=best[0].keys, trajectory=path)
+    signals = path_signals(odometry, *known)
+    signals = replace(signals, covariances=path_signals(blind, *known).covariances)
+    return (odometry, signals) if signals.position_std < best[1].position_std else best
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:
@@ -199,11 +207,7 @@ def smoothed_by_lines(
         return replay
     poses = found.poses[:, 0]
     status = smoothed_status(
-        found.contradictions,
-        (run.poses, run.covariances),
-        (found.poses, found.covariances),
-        while_driving=LEVELS[int(replay.levels.max())],
-        lost_since=lost_since(log.time, placed),
+        found.contradictions, found.covariances, lost_since=lost_since(log.time, placed)
     )
     if status.level == "ok":
         status = places.doubt
@@ -211,23 +215,29 @@ def smoothed_by_lines(
     basis = run.synchronous.until(placed)
     figures = _line_figures(found, has_heading=run.has_headings)
     smoothed = Smoothed(poses, figures, None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
+    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot, found.ranges)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed
     )
 
 
 def draw_grid(
-    replays: Sequence[Replay], paths: Sequence[FloatArray], robot: RobotSpec | None = None
+    replays: Sequence[Replay],
+    paths: Sequence[FloatArray],
+    robot: RobotSpec | None = None,
+    corrected: FloatArray | None = None,
 ) -> GridView:
     """The occupancy grid of the first readings of logs from their poses (n, 3), by their robot or
     by one like it.
+
+    The readings (t, k, n_beams), m, of the k logs may have been ``corrected``.
     """
     grid = OccupancyGrid(replays[0].config.grid)
-    for replay, poses in zip(replays, paths, strict=True):
+    for number, (replay, poses) in enumerate(zip(replays, paths, strict=True)):
         log = replay.log
         rows = np.flatnonzero(log.has_scan[: len(poses)])
-        ranges = log.ranges[rows, None].astype(np.float64)
+        readings = log.ranges if corrected is None else corrected[:, number]
+        ranges = readings[rows, None].astype(np.float64)
         measured = np.isfinite(ranges)
         if replay.sensor is not None:
             measured[..., list(replay.sensor.broken)] = False

@@ -22,6 +22,7 @@ from limslam_agent.slam.consistent.pending_readings import (
     DRIVEN,
     DRIVEN_AT,
     FRESH,
+    RANGE,
     SIDES,
     TURNED,
     TURNED_AT,
@@ -341,6 +342,8 @@ class ConsistentEstimator(Estimator):
         assumed before.
         """
         self.filter.correct_ranges(sensor.change_from(self.sensor))
+        pending = self._pending[..., RANGE]
+        pending[:] = sensor.true(self.sensor.reported(pending))
         self._assume(sensor)
 
     def correct_delay(self) -> None:

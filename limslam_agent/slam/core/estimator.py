@@ -94,7 +94,7 @@ class Estimator:
         for number, (front, observation) in enumerate(zip(self.robots, observations, strict=True)):
             motions[number] = self._jittering(number, motions[number], observation)
             front.accept(observation, motions[number].increment)
-            front.leave_out(self.range_sensor.broken)
+            front.correct(self.range_sensor)
             self._predict(number, motions[number], by_wheels="wheels" in observation)
         if len(self.robots) > 1:
             self._drop_beams_on_robots()

@@ -78,9 +78,9 @@ def count_crossings(
     low: IntArray,
     hits: IntArray,
     margin: float,
-) -> tuple[IntArray, int]:
-    """Count the beams that passed through each bin (m, b) of the lines, and those that passed
-    through a wall.
+) -> tuple[IntArray, BoolArray]:
+    """Count the beams that passed through each bin (m, b) of the lines, and say which of them (k,)
+    passed through a wall.
 
     A beam passed through a line if it reached more than ``margin`` beyond it, m along the line's
     normal. It passed through a wall if beams ended in that bin of the line, and in one of the two
@@ -96,7 +96,8 @@ def count_crossings(
         First bin (m,) of each line, and the number of beams that ended in each bin (m, b), 0 beyond
         a line's last bin.
     """
-    misses, is_wall, count = np.zeros_like(hits), np.zeros(hits.shape, dtype=bool), 0
+    misses, is_wall = np.zeros_like(hits), np.zeros(hits.shape, dtype=bool)
+    through = np.zeros(len(places), dtype=bool)
     before, after = hits[:, :-4] + hits[:, 1:-3], hits[:, 3:-1] + hits[:, 4:]
     is_wall[:, 2:-2] = (hits[:, 2:-2] > 0) & (before > 0) & (after > 0)
     for part, cosines, reached, along in _meetings(state, places, beams):
@@ -105,8 +106,8 @@ def count_crossings(
         beam, line = np.nonzero(is_crossed & (bins < hits.shape[1]))
         crossed = line, bins[beam, line]
         np.add.at(misses, crossed, 1)
-        count += len(np.unique(beam[is_wall[crossed]]))
-    return misses, count
+        through[part.start + beam[is_wall[crossed]]] = True
+    return misses, through
 
 
 def _meetings(

@@ -100,7 +100,7 @@ class Problem:
     # the length of its free path
     readings: Readings
     looks: Readings
-    # how the ranges are measured. A calibration estimates their bias from that of the sensor on.
+    # how the ranges are measured, which are corrected for it. A calibration is what is left.
     sensor: RangeSensor
     # the ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them
     ticks: FloatArray
@@ -169,10 +169,12 @@ class Problem:
             self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose)
         )
 
-    @cached_property
-    def assumed_calibration(self) -> FloatArray:
-        """The calibration (n, 4) of robots that are as specified, but for the known bias."""
-        return np.tile((0.0, 0.0, 0.0, self.sensor.bias), (len(self.starts), 1))
+    def true(self, readings: Readings, calibration: FloatArray) -> FloatArray:
+        """The distances (k,), m, at which readings of walls were taken, by the calibration (n,
+        4).
+        """
+        biases = calibration[readings.places // self.steps, 3]
+        return np.asarray(readings.distances - biases)
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
@@ -227,7 +229,8 @@ class State:
         m.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle, or with a heading
-        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges, m.
+        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges beside that
+        of the sensor, m.
     """
 
     motions: FloatArray
@@ -288,6 +291,7 @@ def make_problem(
     measured = fresh & np.isfinite(ranges) & (True if usable is None else usable)
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
     measured[..., list(sensor.broken)] = False
+    ranges = sensor.corrected(ranges, robot)
     looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
@@ -373,7 +377,7 @@ def state_from_poses(problem: Problem, poses: FloatArray) -> State:
     """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be
     wrapped.
     """
-    calibration = problem.assumed_calibration
+    calibration = np.zeros((len(problem.starts), len(CALIBRATION_PRIOR)))
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
     motions = np.array(
@@ -403,6 +407,8 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     mean nothing.
     """
     poses, beams = state.flat_poses[problem.readings.places], problem.beams
-    return expected_readings(
+    found = expected_readings(
         poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
     )
+    biases = state.calibration[problem.readings.places // problem.steps, 3]
+    return found._replace(ranges=found.ranges + biases)

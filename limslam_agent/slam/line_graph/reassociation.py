@@ -157,7 +157,7 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
     origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
-    ends = origins + readings.distances[:, None] * ahead
+    ends = origins + problem.true(readings, state.calibration)[:, None] * ahead
     for number in np.unique(labels[labels >= known]).tolist():
         points = ends[labels == number]
         lines[number - known, 1], anchors[number - known] = (
@@ -214,12 +214,11 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
     ``_BEYOND`` outside.
     """
     readings = problem.readings
-    biases = state.calibration[readings.places // problem.steps, 3]
     best, misfits = best_lines(
         state,
         readings.places,
         problem.beams,
-        readings.distances - biases,
+        problem.true(readings, state.calibration),
         ends,
         _BEYOND,
         problem.sensor.cone,
@@ -246,7 +245,7 @@ def _straight_labels(problem: Problem, state: State, labels: IntArray) -> IntArr
     cosines = readings.cosines
     # The distance of a reading from its line is the residual along the beam times the cosine.
     variances = np.maximum(problem.variances(state, readings) * cosines**2, 1e-18)
-    points = np.stack((along, range_residuals(problem, state, readings) * cosines, 1.0 / variances))
+    points = np.stack((along, range_residuals(problem, readings) * cosines, 1.0 / variances))
     order = np.lexsort((along, labels))
     order = order[not_grazing(readings, labels)[order]]
     result, count = labels.copy(), int(labels.max(initial=-1)) + 1

@@ -90,6 +90,15 @@ class FilteredRun:
         return self.yaw is not None and not bool(np.isnan(self.yaw).all())
 
     @property
+    def corrected(self) -> "FilteredRun":
+        """The run with readings that are corrected for what is known of its sensor."""
+        sensor = self.sensor
+        if sensor is None:
+            return self
+        ranges = sensor.corrected(self.ranges, self.robot)
+        return replace(self, ranges=ranges, sensor=sensor._replace(bias=0.0))
+
+    @property
     def synchronous(self) -> "FilteredRun":
         """The run with wheels that wait for late ranges."""
         delay = 0.0 if self.sensor is None else self.sensor.delay
@@ -140,6 +149,7 @@ class SmoothedRun:
     # values, or with a heading sensor the numbers of ``HeadingCalibration``; and the bias of all
     # ranges, m. None where the robots are taken to be as specified, and no bias is known.
     calibration: FloatArray | None
+    ranges: FloatArray  # the readings (t, n, n_beams), m, corrected for all that is known of them
     contradictions: float  # share of all looks that passed through a wall of the solution
     robot: RobotSpec  # the robot with its beams as they are mounted
 
@@ -167,6 +177,7 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
 
     ``frame`` (3,) is the pose of the second run's frame in that of the first one.
     """
+    first, second = first.corrected, second.corrected
     moved = replace(
         second,
         poses=compose(frame, second.poses),
@@ -282,7 +293,7 @@ def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray
 
 def _has_errors(problem: Problem, solution: Solution) -> bool:
     """Whether the estimated constant errors are significant, by Wald's test."""
-    values = (solution.state.calibration - problem.assumed_calibration).ravel()
+    values = solution.state.calibration.ravel()
     return float(
         values @ np.linalg.solve(solution.of_calibration, values)
     ) > _CALIBRATION_GATE * len(problem.starts)
@@ -376,16 +387,19 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     poses[..., 2] = wrap_angle(poses[..., 2])
     landmarks, segments = smoothed_map(found)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
+    sensor = problem.sensor
+    calibration = np.add(found.state.calibration, (0.0, 0.0, 0.0, sensor.bias))
+    sensors = [sensor._replace(bias=bias) for bias in calibration[:, 3].tolist()]
+    ranges = [own.corrected(run.ranges[:, number], run.robot) for number, own in enumerate(sensors)]
     return SmoothedRun(
+        ranges=np.stack(ranges, axis=1),
         poses=read_at if run.waiting is None else ahead(read_at, run.waiting, run.robot.axle),
         read_at=read_at,
         covariances=np.concatenate((covariances, run.covariances[len(poses) :])),
         landmarks=landmarks,
         segments=segments,
         associations=_associations(found, landmarks, run.first_step),
-        calibration=found.state.calibration
-        if problem.prior is not None or problem.sensor.bias
-        else None,
+        calibration=calibration if problem.prior is not None or sensor.bias else None,
         contradictions=contradictions(found),
         robot=problem.robot,
     )

@@ -148,8 +148,7 @@ class PublishedEstimator(Estimator):
         else:
             landmark = self.filter.augment(fit.line, covariance, robot)
             self._map.add(transform_points(pose, fit.ends))
-        if self.on_association is not None:
-            self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
+        self.report(AssociationRecord(landmark, not matches, scan.readings, robot))
 
     def _closes_loop(self, landmarks: list[int], step: int) -> bool:
         """Whether the two landmarks nearest to an observation are one wall; then the younger is

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks.scoreboard.board import read_board, run_scoreboard, size_of, table
 from benchmarks.scoreboard.compare import NOISE, compared, comparison_table
-from benchmarks.scoreboard.drives import recorded_drive, world_of
+from benchmarks.scoreboard.drives import recorded_drive
 from benchmarks.scoreboard.made_up_logs import (
     known_relations,
     made_up_log,
@@ -17,10 +17,12 @@ from benchmarks.scoreboard.made_up_logs import (
     thinned,
     walls_of,
 )
-from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
+from benchmarks.scoreboard.measure import at_the_end, measure, scaled_error, while_driving
 from benchmarks.scoreboard.rows import Row, read_rows
+from benchmarks.scoreboard.worlds import world_of
+from benchmarks.suite.person import ranges_to
 from limslam_agent.logs.relations import relation_errors
-from limslam_env import NoiseConfig
+from limslam_env import NoiseConfig, RobotSpec
 from limslam_env.geometry import se2
 
 TINY = """
@@ -62,8 +64,8 @@ def tiny(tmp_path):
     return path
 
 
-def drive(fault=None, *, jitter=0.0, **settings):
-    row = Row("one", "drive", ("env1",), seconds=20.0, fault=fault, **settings)
+def drive(fault=None, *, jitter=0.0, seconds=20.0, **settings):
+    row = Row("one", "drive", ("env1",), seconds=seconds, fault=fault, **settings)
     return recorded_drive(row, world_of("env1"), 3, jitter)
 
 
@@ -87,6 +89,7 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
         assert 0.0 < cell["ate_smoothed_m"] < 0.3
         assert cell["status"] == "ok"
     lines = table(board)
+    assert "| 2 (2) |" in lines[4]
     assert sum(line.startswith(("| nominal | 2 |", "| late | 1 |")) for line in lines) == 2
     found = compared(board["cells"], board["cells"])
     assert [(each.row, each.ratios["ate_m"].value) for each in found] == [
@@ -234,7 +237,18 @@ def test_seconds_are_counted_by_hand_made_errors():
     estimated = np.zeros((5, 1, 3))
     estimated[1:3, 0, 0] = 0.6
     levels = np.array([[1], [0], [1], [2], [0]])
-    assert while_driving(time, true, estimated, levels) == {"wrong_ok_s": 1.0, "false_alarm_s": 2.0}
+    assert while_driving(time, true, estimated, levels) == {
+        "wrong_ok_s": 1.0,
+        "longest_wrong_ok_s": 1.0,
+        "false_alarm_s": 2.0,
+    }
+    twice = while_driving(
+        time, true, estimated + np.array([0.6, 0.0, 0.0]), np.array([[0], [0], [1], [0], [0]])
+    )
+    assert (twice["wrong_ok_s"], twice["longest_wrong_ok_s"]) == (3.0, 2.0)
+    longer = 1.03 * estimated + np.array([4.0, 0.0, 0.0])
+    assert scaled_error(estimated[:, 0], longer[:, 0]) == pytest.approx(0.0, abs=1e-9)
+    assert at_the_end("ok", true, estimated)["wrong_ok_end"] == 0
     line = np.column_stack((np.linspace(0.0, 9.0, 5), np.zeros(5), np.zeros(5)))[:, None]
     bent = line + np.array([0.0, 3.0, 0.0]) * (np.arange(5) == 2)[:, None, None]
     assert at_the_end("ok", line, bent)["wrong_ok_end"] == 1
@@ -266,6 +280,14 @@ def test_faults_do_what_they_say():
     assert set(drive("dead beam").ranges[:, beam]) == {1.5}
     assert set(drive("stuck beam").ranges[:, beam].round(6)) == {np.float32(0.4)}
     assert np.allclose((drive("offset").ranges - plain.ranges)[plain.ranges < 1.4], 0.03, atol=1e-6)
+    far, share = drive("offset", fault_size=0.1), drive("scale")
+    seen = plain.ranges < 1.4
+    assert np.allclose((far.ranges - plain.ranges)[seen], 0.1, atol=1e-6)
+    assert np.allclose((share.ranges / plain.ranges)[seen], 1.03, atol=1e-5)
+    assert np.array_equal(drive("late", fault_size=0.3).ranges[3:], plain.ranges[:-3])
+    held = drive("repeats")
+    assert np.array_equal(held.reported[beam:95:5, beam], held.reported[beam + 4 : 99 : 5, beam])
+    assert (held.repeated / plain.ranges.size) > 0.5
     slips = drive("slips")
     turns = (slips.wheels - plain.wheels)[:, 1] - (slips.wheels - plain.wheels)[:, 0]
     assert np.count_nonzero(np.abs(turns) > 1e-9) == 3
@@ -273,6 +295,54 @@ def test_faults_do_what_they_say():
     turned = drive("turned beam")
     assert turned.robot == plain.robot
     assert not np.array_equal(turned.ranges[:, beam], plain.ranges[:, beam])
+
+
+def test_reports_that_are_lost_take_their_travel_with_them():
+    plain, wheels, reports, gaps = (
+        drive(fault, seconds=30.0) for fault in (None, "lost wheels", "lost reports", "gaps")
+    )
+    lost = (wheels.wheels == 0.0).all(axis=1) & (plain.wheels != 0.0).any(axis=1)
+    assert 5 <= lost.sum() <= 25
+    assert np.array_equal(wheels.ranges, plain.ranges)
+    assert 5 <= len(plain) - len(reports) <= 25
+    rows = np.searchsorted(plain.time, gaps.time)
+    assert np.array_equal(gaps.true_pose, plain.true_pose[rows])
+    assert np.array_equal(gaps.wheels, plain.wheels[rows])
+    assert np.diff(gaps.time).max() == pytest.approx(2.1)
+
+
+def test_a_person_is_seen_in_front_of_the_walls():
+    plain, crowded = drive(), drive("person")
+    nearer = crowded.ranges < plain.ranges
+    assert 0.0 < nearer.mean() < 0.2
+    assert np.array_equal(crowded.ranges[~nearer], plain.ranges[~nearer])
+    robot, poses = RobotSpec(), np.array([[0.0, 0.0, 0.5 * math.pi]])
+    ahead = ranges_to(np.array([[0.0, 1.0]]), 0.2, robot, poses)
+    assert np.isinf(ahead[0, [0, 5]]).all()
+    aside = ranges_to(np.array([[1.0, 0.0]]), 0.2, robot, poses)
+    assert aside[0, 5] == pytest.approx(0.7)
+
+
+def test_a_standing_robot_stands_in_the_middle():
+    log = drive(stands=30.0)
+    assert (len(log), np.ptp(log.true_pose[101:400], axis=0).max()) == (501, 0.0)
+    assert np.hypot(*np.diff(log.true_pose[401:, :2], axis=0).T).sum() > 0.5
+
+
+def test_a_beam_has_the_cone_that_is_told():
+    row = Row("one", "drive", ("env1",), cone=0.2)
+    assert (row.robot.cone, row.true_noise.cone) == (0.2, 0.2)
+
+
+@pytest.mark.parametrize("kind", ["pillars", "tables", "halls", "round"])
+def test_a_robot_can_drive_in_a_room_of_each_kind(kind):
+    world = world_of(f"{kind}:5")
+    world.check(RobotSpec().radius)
+    assert world.digest == world_of(f"{kind}:5").digest != world_of(f"{kind}:6").digest
+    if kind == "tables":
+        assert all(np.allclose(np.ptp(leg, axis=0), 0.04) for leg in world.obstacles)
+    if kind == "round":
+        assert len(world.walls) == 48
 
 
 def test_a_bumping_robot_touches_walls():
@@ -287,7 +357,7 @@ def test_the_size_of_sources_is_counted(tmp_path):
         '"""A part."""\n\nONE = 1\nNAME = "a"\nPAIR = (2, "b")\n\n\ndef f(x):\n    """F."""\n    '
         "y = 3\n    return y\n"
     )
-    assert size_of([path]) == {"lines": 11, "files": 1, "constants": 2}
+    assert size_of([path]) == {"tokens": 19, "lines": 11, "files": 1, "constants": 2}
 
 
 @pytest.fixture(scope="module")
