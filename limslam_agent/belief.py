@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.unfinished import Faces
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, no_rows
 
@@ -33,8 +34,8 @@ class Belief:
     """Everything that a policy may use to choose an action.
 
     A :class:`~limslam_agent.mapping.mapper.Mapper` makes the belief of each robot. Only
-    ``other_goals`` is added by the team, because the goals come from the policies and not from the
-    map.
+    ``other_goals`` and ``other_looks`` are added by the team, because they come from the policies
+    and not from the map.
 
     Attributes
     ----------
@@ -53,6 +54,8 @@ class Belief:
         Estimated poses (m, 3) of the other robots in the team's order. Empty for a single robot.
     other_goals
         Goals (k, 2), m, of those other robots that have a goal.
+    other_looks
+        Stretches of border that other robots have looked at, or are about to look at.
     status
         Whether the estimate can be trusted.
     frame
@@ -73,6 +76,7 @@ class Belief:
     grid: GridView
     other_poses: FloatArray = field(default_factory=lambda: no_rows(3))
     other_goals: FloatArray = field(default_factory=lambda: no_rows(2))
+    other_looks: Sequence[Faces] = ()
     status: Status = field(default_factory=Status)
     frame: int = 0
     map_number: int = 0

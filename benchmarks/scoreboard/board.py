@@ -28,6 +28,7 @@ from limslam_agent.measurements.statistics import MISSING, number
 from limslam_agent.output.atomic_write import replace_content
 from limslam_agent.output.provenance import commit
 from limslam_agent.safe_files import read_limited
+from limslam_agent.status.chance import LIMIT
 
 FILE = "scoreboard.json"
 _MAX_BYTES = 10_000_000
@@ -182,8 +183,11 @@ def table(board: Board) -> list[str]:
     names = dict.fromkeys(str(cell["row"]) for cell in board["cells"])
     rows = [_line(name, [cell for cell in board["cells"] if cell["row"] == name]) for name in names]
     size = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in board["size"].items())
+    ok, off = (sum(_values(board["cells"], each)) for each in ("ok_s", "off_ok_s"))
+    share = f", of which {off / ok:.1%} off" if ok else ""
     return [
         f"estimator: {size}",
+        f"status: {ok:.0f} s with a stated chance below {LIMIT:.0%}{share}",
         "",
         f"| {' | '.join(_HEADER)} |",
         f"|{'---|' * len(_HEADER)}",

@@ -6,10 +6,11 @@ import numpy as np
 
 from limslam_agent.output.export import plain
 from limslam_agent.runs.results import over_robots
+from limslam_agent.status.chance import TURNED
 from limslam_agent.status.status import LEVELS
 from limslam_env import metrics
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry.se2 import transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World
@@ -80,18 +81,21 @@ def while_driving(
     time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray
 ) -> Scores:
     """How long poses (t, n, 3) were wrong although the status (t, n) was ok, and right although it
-    was not, s.
+    was not, and how long it was ok, and off all the same: wrong, or turned too far, s.
 
     The times of several robots are added. Also the longest time that one was wrong without a break
     and the status ok.
     """
     errors = np.hypot(*(estimated - true)[..., :2].transpose(2, 0, 1))
+    is_off = (errors > WRONG) | (np.abs(wrap_angle((estimated - true)[..., 2])) > TURNED)
     lasts, is_ok = np.append(np.diff(time_s), 0.0)[:, None], levels == LEVELS.index("ok")
     is_wrong = is_ok & (errors > WRONG)
     return {
         "wrong_ok_s": float((lasts * is_wrong).sum()),
         "longest_wrong_ok_s": max(_longest(lasts[:, 0], one) for one in is_wrong.T),
         "false_alarm_s": float((lasts * (~is_ok & (errors < RIGHT))).sum()),
+        "ok_s": float((lasts * is_ok).sum()),
+        "off_ok_s": float((lasts * (is_ok & is_off)).sum()),
     }
 
 

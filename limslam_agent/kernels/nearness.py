@@ -147,7 +147,7 @@ def beams_on_robot(
     other: FloatArray,
     ranges: FloatArray,
     beams: FloatArray,
-    sensor: tuple[float, float, float, float],
+    sensor: tuple[float, float, float],
     covariance: FloatArray,
     at: int,
     other_at: int,
@@ -163,7 +163,7 @@ def beams_on_robot(
     """
     cos, sin, (radius, sigmas, slack) = math.cos(pose[2]), math.sin(pose[2]), margins
     for beam in range(len(ranges)):
-        reached = ranges[beam] - sensor[3]
+        reached = ranges[beam]
         x, y = beam_end(pose, cos, sin, beams, beam, reached)
         distance = math.sqrt((x - other[0]) ** 2 + (y - other[1]) ** 2)
         toward_x, toward_y = (

@@ -51,7 +51,7 @@ class FrameMapper:
         drawers: Sequence[ReadingDrawer] = (),
     ) -> None:
         self.slam, self.grid, self._config, self.slam_ms = slam, grid, config, 0.0
-        self.drawers = drawers or self._new_drawers()
+        self.drawers, self._places = drawers or self._new_drawers(), slam.range_sensor.places
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -98,10 +98,12 @@ class FrameMapper:
             for monitor in self.monitors:
                 monitor.forget_map()
         known, sensor = self.monitors[0].sensor, self.slam.range_sensor
+        if sensor.places != self._places:
+            self._places, self.drawers = sensor.places, self._new_drawers()
+            self.grid = self.renewal.draw_again()
         if sensor.turns != known.turns:
             # The beams point elsewhere than was known. A further correction may be due to readings
             # at a wrong place, and must not erase the doubts that these readings have raised.
-            self.drawers = self._new_drawers()
             if known.turns:
                 for monitor in self.monitors:
                     monitor.sensor = sensor

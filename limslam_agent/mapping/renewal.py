@@ -14,6 +14,7 @@ from limslam_agent.places.localisation import is_far
 from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.front_end import yaw_of
+from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
 from limslam_agent.status.rays import Sight, rays_of
@@ -64,7 +65,7 @@ class Renewal:
             list[FloatArray](),
         )
         self._rows: list[
-            tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray, float]
+            tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray, float, list[float]]
         ] = []
         self._start: MapState | None = None
         self._associations = self._closures = self._first_step = (
@@ -82,11 +83,12 @@ class Renewal:
         self._rows.append(
             (
                 travel,
-                front.ranges,
+                front.reported,
                 front.measured,
                 self._slam.pose,
                 self._slam.covariance,
                 yaw_of(observation),
+                unknown_of(observation),
             )
         )
 
@@ -148,6 +150,14 @@ class Renewal:
             return True
         return bool(off @ np.linalg.solve(self._slam.covariance, off) <= ONE_WALL_GATE)
 
+    def draw_again(self) -> OccupancyGrid:
+        """Draw the grid again since the stretch began, with the readings as they are corrected
+        now.
+        """
+        if len(self._rows) > 1:
+            self.grid = self._drawn([row[3] for row in self._rows[1:]])
+        return self.grid
+
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
         grid = self._first_grid.copied()
@@ -155,7 +165,7 @@ class Renewal:
         grid.draw(
             self._slam.mounted,
             np.array(poses)[:, None],
-            np.array(ranges)[:, None],
+            self._slam.range_sensor.corrected(np.array(ranges), self._slam.robot)[:, None],
             np.array(measured)[:, None],
         )
         return grid
@@ -191,7 +201,7 @@ class Renewal:
         from limslam_agent.slam.line_graph.renewal import renewed
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        wheels, ranges, usable, poses, covariances, yaw = (
+        wheels, ranges, usable, poses, covariances, yaw, unknown = (
             np.array(each) for each in zip(*self._rows, strict=True)
         )
         settings = self._config.run_smoothing
@@ -216,5 +226,6 @@ class Renewal:
             sensor=self._slam.sensor,
             ticks=self._slam.ticks,
             yaw=yaw[:, None],
+            wheel_variances=unknown[:, None],
         )
         return renewed(self._start, stretch, settings)

@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapping.joining import JoiningMapper
 from limslam_agent.mapping.mapper import Mapper, MapSnapshot
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.policies.policy import Policy, checked_action, checked_plan
+from limslam_agent.policies.policy import MapExplorer, Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level, Status, worst
@@ -175,7 +176,7 @@ class LimSlamTeam:
         return [
             checked_action(
                 policy,
-                replace(beliefs[number], other_goals=self._goals_of_others(number))
+                self._with_plans_of_others(beliefs[number], number)
                 if self.num_robots > 1
                 else beliefs[number],
             )
@@ -240,10 +241,10 @@ class LimSlamTeam:
 
         In a map that was there before, the policies still know what was settled there. Otherwise a
         robot whose map is moved now and then would look at the same places again and again, and
-        never end.
+        never end. Robots whose starts are unknown begin in another map when they are joined.
         """
         if self._frame != self.mapper.frame and self._given_policies is None:
-            if self.num_robots == 1:
+            if not isinstance(self.mapper, JoiningMapper):
                 self._left[self._map_number] = self.policies
             self._map_number = self.mapper.map_number
             kept = self._left.pop(self._map_number, None)
@@ -253,7 +254,7 @@ class LimSlamTeam:
         self._frame = self.mapper.frame
 
     def _restart_stopped(self, grid: GridView) -> None:
-        """Give a robot that has stopped a new policy, once the other robots have mapped enough new
+        """Let a robot that has stopped explore again, once the other robots have mapped enough new
         cells.
         """
         if self._given_policies is not None or self.num_robots == 1 or self.done:
@@ -262,19 +263,23 @@ class LimSlamTeam:
         for number, policy in enumerate(self.policies):
             if policy.stop_reason is None:
                 self._known_at_stop.pop(number, None)
-            elif known - self._known_at_stop.setdefault(number, known) > _NEWS:
-                self.policies[number] = explorer(self.robot, self.config)
+            elif (
+                isinstance(policy, MapExplorer)
+                and known - self._known_at_stop.setdefault(number, known) > _NEWS
+            ):
+                policy.restart()
                 self._known_at_stop[number] = known
 
-    def _goals_of_others(self, number: int) -> FloatArray:
+    def _with_plans_of_others(self, belief: Belief, number: int) -> Belief:
         if self.mapper.is_apart:
-            return np.zeros((0, 2))
-        goals = [
-            getattr(policy, "goal", None)
-            for other, policy in enumerate(self.policies)
-            if other != number
-        ]
-        return np.array([goal for goal in goals if goal is not None]).reshape(-1, 2)
+            return belief
+        others = [policy for other, policy in enumerate(self.policies) if other != number]
+        goals = [getattr(policy, "goal", None) for policy in others]
+        return replace(
+            belief,
+            other_goals=np.array([goal for goal in goals if goal is not None]).reshape(-1, 2),
+            other_looks=[faces for policy in others for faces in getattr(policy, "looks", ())],
+        )
 
 
 class LimSlamAgent:

@@ -328,6 +328,10 @@ def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
     if not isinstance(level, str):
         return []
     lines = [f"            {level} at the end{f': {reason}' if reason else ''}"]
+    if metrics.get("smoothed_kind") == "odometry":
+        lines.append(
+            "            the path is that of odometry, which the readings do not make better"
+        )
     few = f"with fewer than {FEW_POINTS:.0f}, paths were often wrong"
     points = _told(
         "", "{smoothed_points_per_m:.1f} readings of walls in a metre of driving: " + few, metrics

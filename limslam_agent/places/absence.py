@@ -292,7 +292,10 @@ def carried_at(
         here.evidence - there.evidence
         for step, pose in zip(steps, placed, strict=True)
         for here, there in [
-            place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, mounted, sensor.bias))
+            place.weigh(
+                np.array([step.pose, pose]),
+                step_rays(sensor.corrected(step.ranges, robot), mounted),
+            )
         ]
     ]
     totals = np.cumsum(gained)

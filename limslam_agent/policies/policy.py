@@ -80,6 +80,11 @@ class MapExplorer(ABC):
         self._collision_guard.add_readings(belief.pose, belief.ranges)
         return self._collision_guard.limit_speed(belief.pose, self.wanted(belief))
 
+    def restart(self) -> None:
+        """Explore again, after teammates have mapped new ground."""
+        self._forget_map()
+        self._begin()
+
     def wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,), before the collision guard limits them. The caller has told the frame
         by :meth:`enter`.

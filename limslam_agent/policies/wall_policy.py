@@ -9,6 +9,7 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
+from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import (
     PATIENCE,
     TURN_RATE,
@@ -62,6 +63,8 @@ class WallPolicy(MapExplorer):
     nearest place from which a stretch without a wall is visible. There the robot turns slowly, so
     that beams sweep along the stretch. A frontier that appears meanwhile is explored first. Each
     stretch is looked at once, and the time for all looks is limited, so exploration always ends.
+    The robots of a team divide the stretches: what one has looked at, or is about to look at, is
+    left to it.
 
     Parameters
     ----------
@@ -78,6 +81,19 @@ class WallPolicy(MapExplorer):
         """Also tell the frontier explorer."""
         super().enter(belief)
         self._frontiers.enter(belief)
+
+    def restart(self) -> None:
+        """Explore the frontiers again, and remember the walls that were looked at."""
+        self._looks = [look for look in self._looks if not look.is_stuck]
+        self._frontiers.restart()
+        self._begin()
+
+    @property
+    def looks(self) -> list[Faces]:
+        """The stretches that this robot has looked at, and the one that it is about to look at."""
+        looks = [look for look in self._looks if not look.is_stuck]
+        looks += [] if self._look is None else [self._look]
+        return [look.view.faces for look in looks]
 
     def _forget_map(self) -> None:
         self._looks: list[Look] = []
@@ -117,7 +133,8 @@ class WallPolicy(MapExplorer):
         """
         if self._frontiers.resume(belief):
             return
-        border = open_border(belief, [look.view.faces for look in self._looks])
+        looked_at = [look.view.faces for look in self._looks]
+        border = open_border(belief, [*looked_at, *belief.other_looks])
         is_late = self._looking > _MOST_STEPS
         view = None if is_late else next_view(belief, border, self.robot)
         if view is not None:

@@ -18,18 +18,14 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.slam.core.motion import motion_of
-from limslam_agent.status.status import LEVELS, Status
+from limslam_agent.status.chance import chance_off, in_words
+from limslam_agent.status.status import LEVELS, Status, judged
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
 if TYPE_CHECKING:
     from limslam_agent.slam.online_graph.online_graph import OnlineGraph
-
-
-_MOST_STD = (
-    0.3  # m: the position is then more than 0.5 m off with a chance of exp(-(0.5 / 0.3)^2), 6 %
-)
 
 
 class Estimate(NamedTuple):
@@ -89,12 +85,9 @@ class LogEstimate:
             if self._passed is None or found.level != "ok":
                 return found
             return Status("unsure", breaks_in_words((self._passed,)))
-        std = self._graph.position_std
-        return (
-            Status("unsure", f"the position in the map may be {std:.1f} m off")
-            if std > _MOST_STD
-            else Status()
-        )
+        covariance = np.diag([0.5, 0.5, 0.0]) * self._graph.position_std**2
+        chance = float(chance_off(covariance))
+        return judged(chance, in_words(chance, covariance, "the position in the map"))
 
     @property
     def places(self) -> PlaceHistory:

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -24,13 +24,13 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.graph.chunk_graph import KEPT
-from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.key_poses import LogData, odometry_trajectory
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
-from limslam_agent.status.status import LEVELS, lost_since, smoothed_status
+from limslam_agent.status.status import lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec
@@ -92,18 +92,20 @@ def trusted_path(
 ) -> tuple[GraphResult, PathSignals]:
     """The smoothed log with its signals.
 
-    As long as it is doubtful, there are more rounds, and a path is taken whose visits agree better.
+    As long as it is doubtful, there are more rounds, and the path is taken that is off least
+    likely, which may be that of odometry.
     """
-    known = data.time - data.time[0], config, (data.max_range, data.range_std)
-    judged = ((found, path_signals(found, *known)) for found in rounds(data, start, config, report))
-    best = next(judged)
-    for _ in range(_MORE_ROUNDS):
-        if best[1].status.level == "ok":
-            break
-        other = next(judged, best)
-        if best[1].is_worse_than(other[1]):
-            best = other
-    return best
+    known, found = (data.time - data.time[0], config, (data.max_range, data.range_std)), []
+    for path in islice(rounds(data, start, config, report), 1 + _MORE_ROUNDS):
+        found.append((path, path_signals(path, *known)))
+        if found[-1][1].status.level == "ok":
+            return found[-1]
+    blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
+    keys = found[0][0].keys
+    path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
+    covariances = path_signals(blind, *known).covariances
+    found.append((path, replace(path_signals(path, *known), covariances=covariances)))
+    return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:
@@ -193,17 +195,14 @@ def smoothed_by_lines(
         slips=tuple((0, *part) for part in places.slips),
         sensor=replay.sensor,
         yaw=None if log.yaw is None else log.yaw[:, None],
+        wheel_variances=None if log.wheel_variances is None else log.wheel_variances[:, None],
     )
     found = smooth_run(run, config, placed)
     if found is None:
         return replay
     poses = found.poses[:, 0]
     status = smoothed_status(
-        found.contradictions,
-        (run.poses, run.covariances),
-        (found.poses, found.covariances),
-        while_driving=LEVELS[int(replay.levels.max())],
-        lost_since=lost_since(log.time, placed),
+        found.contradictions, found.covariances, lost_since=lost_since(log.time, placed)
     )
     if status.level == "ok":
         status = places.doubt
@@ -211,23 +210,29 @@ def smoothed_by_lines(
     basis = run.synchronous.until(placed)
     figures = _line_figures(found, has_heading=run.has_headings)
     smoothed = Smoothed(poses, figures, None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
+    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot, found.ranges)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed
     )
 
 
 def draw_grid(
-    replays: Sequence[Replay], paths: Sequence[FloatArray], robot: RobotSpec | None = None
+    replays: Sequence[Replay],
+    paths: Sequence[FloatArray],
+    robot: RobotSpec | None = None,
+    corrected: FloatArray | None = None,
 ) -> GridView:
     """The occupancy grid of the first readings of logs from their poses (n, 3), by their robot or
     by one like it.
+
+    The readings (t, k, n_beams), m, of the k logs may have been ``corrected``.
     """
     grid = OccupancyGrid(replays[0].config.grid)
-    for replay, poses in zip(replays, paths, strict=True):
+    for number, (replay, poses) in enumerate(zip(replays, paths, strict=True)):
         log = replay.log
         rows = np.flatnonzero(log.has_scan[: len(poses)])
-        ranges = log.ranges[rows, None].astype(np.float64)
+        readings = log.ranges if corrected is None else corrected[:, number]
+        ranges = readings[rows, None].astype(np.float64)
         measured = np.isfinite(ranges)
         if replay.sensor is not None:
             measured[..., list(replay.sensor.broken)] = False

@@ -1,15 +1,15 @@
 """Whether the smoothed path of a log can be trusted, by signals that need no truth.
 
-Three things can be wrong. Nothing holds a stretch of the path: then the posterior covariance of the
-graph says how far off it may be. The wrong places were taken for each other: then other visits
-contradict what was seen, everywhere or at one place. Or there is no evidence: no place was seen
-twice.
+Two things can be wrong. Nothing holds a stretch of the path: then the posterior covariance of the
+graph says how far off it may be, whether a place was seen twice or not. Or wrong places were taken
+for each other: then other visits contradict what was seen, everywhere or at one place.
 
 In 96 made-up logs with 5 to 40 points a metre (4 to 11 beams), the error of a right path was 0.3 to
 1.2 times its expected one, and other visits contradicted at most 8 % of the points that they had
 seen.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,23 +17,23 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import visit_counts
-from limslam_agent.slam.graph.posterior import position_std
+from limslam_agent.slam.graph.posterior import position_covariances
 from limslam_agent.slam.graph.smooth import GraphResult
-from limslam_agent.status.status import Status
+from limslam_agent.status.chance import (
+    LIMIT,
+    chance_mistaken,
+    chance_off,
+    either,
+    in_words,
+    rate_evidence,
+)
+from limslam_agent.status.status import Status, judged
 from limslam_env.geometry import FloatArray, IntArray
 
-MOST_CONTRADICTED = 0.09
-"""A path is doubtful if other visits contradict a larger share of the points that they confirm or
-contradict.
-"""
-
-MOST_STD = 0.6
-"""A path is doubtful if its positions are expected to be farther off than this, m: it would be
-wrong.
-"""
-
+# Shares of the points that other visits contradict, of all that they have seen, in a right path
+# and in a wrong one: readings beside edges and thin obstacles are contradicted in a right path, too
+_RIGHT, _WRONG = 0.06, 0.135
 _LEAST_TIES = 2  # loops that span a break of odometry: a single one may be wrong
-_ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, none is contradicted
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ class PathSignals:
     # contradict
     confirmed: float
     contradicted: float
-    position_std: float  # expected root mean square error of the positions after rigid alignment, m
+    # Covariances (k, 2, 2) of positions along the path after rigid alignment, m^2
+    covariances: FloatArray
     # Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None
     # if it has not been looked for.
     loose: tuple[float, float] | None = None
@@ -67,18 +68,26 @@ class PathSignals:
         return self.contradicted / max(self.confirmed + self.contradicted, 1e-9)
 
     @property
+    def position_std(self) -> float:
+        """Expected root mean square error of the positions after rigid alignment, m."""
+        return math.sqrt(max(float(np.trace(self.covariances.mean(axis=0))), 0.0))
+
+    @property
     def status(self) -> Status:
-        """``ok``, or ``unsure`` with the reasons."""
-        reasons = []
+        """By the chance that a pose of the path is off, and whether its parts are tied together."""
+        covariances = np.zeros((len(self.covariances), 3, 3))
+        covariances[:, :2, :2] = self.covariances
+        far = float(chance_off(covariances).mean())
+        mistaken = chance_mistaken(self.evidence)
+        chance, reasons = either(far, mistaken), []
         if self.untied:
             times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
             reasons.append(
                 f"odometry jumps or has a gap at {times} s, and too few places that were seen "
                 "before and after it tie both parts together"
             )
-        if not self.confirmed:
-            reasons.append("no other visit of a place confirms what was seen")
-        if self.contradicted_share > MOST_CONTRADICTED:
+            chance = max(chance, 0.5)
+        if mistaken >= LIMIT:
             reasons.append(
                 f"visits of a place contradict each other at {self.contradicted_share:.0%} of the "
                 "points"
@@ -88,22 +97,18 @@ class PathSignals:
             reasons.append(
                 f"visits contradict what was seen more often than they confirm it after {times} s"
             )
-        if self.position_std > MOST_STD:
+            chance = max(chance, 0.5)
+        if far >= LIMIT or not reasons:
             where = "" if self.loose is None else " from {:.0f} to {:.0f} s".format(*self.loose)
-            reasons.append(
-                f"positions may be {self.position_std:.1f} m off, as no recognised place holds "
-                f"the path{where}"
-            )
-        return Status("unsure", ", ".join(reasons)) if reasons else Status()
+            words = in_words(far, covariances.mean(axis=0), "a pose of the path")
+            reasons.append(f"{words}, as no recognised place holds the path{where}")
+        return judged(chance, ", ".join(reasons))
 
-    def is_worse_than(self, other: "PathSignals") -> bool:
-        """Whether visits agree better in another path of the same log, in which nearly as many
-        points are confirmed.
-        """
-        return (
-            other.contradicted_share < self.contradicted_share
-            and other.confirmed > _ENOUGH * self.confirmed
-        )
+    @property
+    def evidence(self) -> float:
+        """That places were taken for each other, by the points that other visits contradict."""
+        seen = self.points * (self.confirmed + self.contradicted)
+        return rate_evidence(self.points * self.contradicted, seen, _RIGHT, _WRONG)
 
     @property
     def figures(self) -> dict[str, Any]:
@@ -111,6 +116,7 @@ class PathSignals:
         return {
             "smoothed_status": self.status.level,
             "smoothed_status_reason": self.status.reason,
+            "smoothed_status_chance": self.status.chance,
             "smoothed_position_std_m": self.position_std,
             "smoothed_points_per_m": self.points_per_metre,
             "smoothed_contradicted_share": self.contradicted_share,
@@ -149,7 +155,7 @@ def path_signals(
         points=len(keys.point_key),
         confirmed=visits.shares[0],
         contradicted=visits.shares[1],
-        position_std=position_std(keys, trajectory, found.relations, config, sensor[1]),
+        covariances=position_covariances(keys, trajectory, found.relations, config, sensor[1]),
         loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
         doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
         untied=tuple(times[_untied(keys.breaks[keys.breaks != seam], found.relations[0])].tolist()),

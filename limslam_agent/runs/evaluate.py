@@ -15,11 +15,10 @@ from limslam_agent.runs.actor_checks import check_actor, is_policy
 from limslam_agent.runs.actors import ALONE, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, over_robots, trajectory_scores
-from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.envs.arguments import given
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.interface import RobotSpec
 from limslam_env.messages import described
 
 Result = dict[str, Any]
@@ -47,8 +46,8 @@ def evaluate(
     actor
         A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan``
         (`Policy`). A new copy of it is the policy of a `LimSlamAgent` in each episode, which is
-        told ``robot`` and a plain ``sensor_noise``. An **actor** is anything with
-        ``act(observation)``, a model of Stable-Baselines3 or another object with
+        told the ``robot`` and the ``nominal_noise`` of the environment. An **actor** is anything
+        with ``act(observation)``, a model of Stable-Baselines3 or another object with
         ``predict(observation, deterministic=True) -> (action, state)``, or a callable. If the actor
         has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel
         environment an actor answers a dict of all robots' observations with a dict of their
@@ -91,13 +90,13 @@ def evaluate(
     seeds = _seeds(seeds)
     is_team = env_id.startswith(_TEAMS)
     robot = given("robot", arguments.get("robot"), RobotSpec)
-    driver = driver_of(
-        actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset
-    )
-    goal = {"coverage_goal": None} if driver.can_stop else {}
+    can_stop = driver_of(actor, is_team=is_team, robot=robot, preset_name=preset).can_stop
+    goal = {"coverage_goal": None} if can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
+        noise = bare.unwrapped.nominal_noise
+        driver = driver_of(actor, is_team=is_team, robot=robot, noise=noise, preset_name=preset)
         check_actor(actor, bare.unwrapped.robot, env)
         return [
             _scored(driver, _Robots(env, is_team=is_team), bare.unwrapped, int(seed))
@@ -134,22 +133,6 @@ def _seeds(seeds: Any) -> list[int]:
     if not found or not all(isinstance(seed, int | np.integer) and seed >= 0 for seed in found):
         raise ValueError(f"seeds must be whole numbers from 0, at least one of them, not {seeds!r}")
     return [int(seed) for seed in found]
-
-
-def _nominal_noise(arguments: dict[str, Any]) -> NominalNoise:
-    """The noise that the agent of a policy is told: that of the environment, or the upper end of
-    its interval.
-    """
-    noise: Any = arguments.get("noise") or NoiseConfig()
-    sensor_noise = arguments.get("sensor_noise")
-    setting = getattr(noise, "sensor_noise", None) if sensor_noise is None else sensor_noise
-    highest: Any = max(setting, default=None) if isinstance(setting, tuple) else setting
-    # The environment refuses what is no noise.
-    return (
-        NominalNoise(highest)
-        if isinstance(highest, int | float) and 0.0 <= highest < np.inf
-        else NominalNoise()
-    )
 
 
 _Infos = dict[str, dict[str, Any]]

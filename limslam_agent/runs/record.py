@@ -182,7 +182,7 @@ class Episode:
         smoothed, config = self.smoothed, self.config
         if smoothed is None:
             return self.online_map
-        ranges = as_readings(self.ranges, config.robot.min_ranges, config.robot.max_ranges)
+        ranges = as_readings(smoothed.ranges, config.robot.min_ranges, config.robot.max_ranges)
         is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
         measured = is_new & ~np.isnan(ranges) & ~self.dropped
         if self.sensor is not None:

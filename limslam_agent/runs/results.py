@@ -37,7 +37,6 @@ from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import (
-    LEVELS,
     final_status_scores,
     lost_since,
     smoothed_status,
@@ -249,7 +248,7 @@ def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, flo
     }
 
 
-def final_status(episode: Episode) -> dict[str, str]:
+def final_status(episode: Episode) -> dict[str, Any]:
     """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there
     are none.
     """
@@ -257,13 +256,8 @@ def final_status(episode: Episode) -> dict[str, str]:
     if smoothed is None:
         return {}
     places = episode.places
-    status = smoothed_status(
-        smoothed.contradictions,
-        episode.revised,
-        (smoothed.poses, smoothed.covariances),
-        while_driving=LEVELS[int(episode.levels.max())],
-        lost_since=lost_since(episode.time, places.placed.stop),
-    )
+    since = lost_since(episode.time, places.placed.stop)
+    status = smoothed_status(smoothed.contradictions, smoothed.covariances, lost_since=since)
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
         status = NOT_YET_CONFIRMED
     if status.level == "ok":

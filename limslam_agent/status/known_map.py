@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X, UNRELATED
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.chance import rate_evidence
 from limslam_agent.status.rays import have_ended
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
@@ -77,10 +78,7 @@ def contradiction_test(contradicting: int, tested: int, *, may_be_bent: bool = F
     furniture may have been moved.
     """
     right = UNRELATED if may_be_bent else _RIGHT
-    fitting = tested - contradicting
-    return contradicting * math.log(_WRONG / right) + fitting * math.log(
-        (1.0 - _WRONG) / (1.0 - right)
-    )
+    return rate_evidence(contradicting, tested, right, _WRONG)
 
 
 class Explained(NamedTuple):

@@ -13,9 +13,10 @@ import numpy as np
 
 from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.chance import chance_mistaken, chance_off, either, in_words
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
 from limslam_agent.status.rays import STEPS, Sight, rays_of
-from limslam_agent.status.status import UNSURE_HEADING, Status
+from limslam_agent.status.status import Status, judged
 from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, SuddenChanges, by_beam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
@@ -66,8 +67,9 @@ class StatusMonitor:
     """Watches one robot.
 
     At each step the monitor gets the motion that the odometry reports, and the readings. Each time
-    that the robot has moved far enough, it compares the readings with the map. The level follows
-    from that, from the uncertainty of the heading, and from jumps of the odometry.
+    that the robot has moved far enough, it compares the readings with the map. The chance that the
+    pose is off (:mod:`~limslam_agent.status.chance`) follows from that and from its covariance, and
+    the level from this chance and from jumps of the odometry.
 
     While a robot is lost, the covariance of its pose gets larger with each metre. It stays lost for
     3 m, and until nothing is doubtful any more.
@@ -86,7 +88,10 @@ class StatusMonitor:
     status
         The present status.
     by_readings
-        The same by the readings alone, however uncertain the heading is.
+        The same by the doubts that the readings have raised and not yet refuted, whatever the
+        covariance is.
+    mistaken
+        The chance by the readings that the robot is elsewhere.
     jump
         Length of the jumps of the odometry since the robot is lost, m.
     loss
@@ -109,6 +114,7 @@ class StatusMonitor:
         self.loss: Loss | None = None
         self.broken: int | None = None
         self.status = self.by_readings = Status()
+        self.mistaken = 0.0
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
         """Note the motion and the readings of one step.
@@ -161,7 +167,7 @@ class StatusMonitor:
         self._sights = self._sights[-STEPS:]  # more would count no more
         self._first = self._step + 1 - len(self._sights)
         self.broken = self._broken_beam(present)
-        self._judge(float(covariance[2, 2]))
+        self._judge(covariance)
 
     def forget_map(self) -> None:
         """Forget what the map was like: a loop is closed in the step that is observed next."""
@@ -211,23 +217,25 @@ class StatusMonitor:
         test = by_beam(rays, present.explained(rays).by_place(rays), self._robot)
         return bool(test[beam] > 2.0 * DECIDED and test.sum() - test[beam] < 0.0)
 
-    def _judge(self, heading_variance: float) -> None:
-        """Find the status."""
+    def _judge(self, covariance: FloatArray) -> None:
+        """Find the status, for a pose with a covariance (3, 3)."""
         before, self.loss = self.loss, self._loss()
         if self.loss is None and (self.is_suspicious or self._driven < WINDOW):
             self.loss = before
         if before is None or self.loss is None:
             self._driven = 0.0
-        self.status = MAYBE_CARRIED if self.is_suspicious else Status()
+        self.by_readings = MAYBE_CARRIED if self.is_suspicious else Status()
         if self.loss is None:
             self.jump = 0.0
         elif self.loss.known is None:  # a robot that has slipped is near
-            self.status = self.loss.status
-        self.by_readings = self.status
-        heading_std = math.sqrt(max(heading_variance, 0.0))
-        if self.status.level == "ok" and heading_std > UNSURE_HEADING:
-            words = f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg"
-            self.status = Status("unsure", words)
+            self.by_readings = self.loss.status
+        suspicion, by_covariance = self._changes.suspicion, float(chance_off(covariance))
+        self.mistaken = 0.0 if suspicion is None else chance_mistaken(suspicion.evidence)
+        chance = either(by_covariance, self.mistaken)
+        is_mistaken = self.mistaken > by_covariance
+        reason = CARRIED.reason if is_mistaken else in_words(chance, covariance)
+        is_lost = self.by_readings.level == "lost"
+        self.status = self.by_readings if is_lost else judged(chance, reason)
 
     def _loss(self) -> Loss | None:
         """Why the robot is lost now; None if it is not."""

@@ -45,7 +45,8 @@ class Sight(NamedTuple):
     """What a robot believed and read in one step. Each step makes one, so it has to be cheap."""
 
     pose: FloatArray  # estimated pose (3,), m and rad
-    ranges: FloatArray  # readings (n_beams,), m. They are NaN where there is no new reading.
+    # Readings (n_beams,), m, as they were reported. They are NaN where there is no new reading.
+    ranges: FloatArray
     # The motion (3,) that the odometry reports for this step, in the frame of the robot before it,
     # m and rad
     motion: FloatArray = np.zeros(3)
@@ -58,7 +59,7 @@ class Sight(NamedTuple):
         cls, front: FrontEnd, pose: FloatArray, motion: FloatArray, observation: Observation
     ) -> "Sight":
         """The step that the front end of a robot has just processed."""
-        return cls(pose, np.where(front.measured, front.ranges, np.nan), motion, observation)
+        return cls(pose, np.where(front.measured, front.reported, np.nan), motion, observation)
 
 
 def rays_of(
@@ -79,14 +80,16 @@ def numbered_rays_of(
     not new, too short, or perhaps missed by the sensor, has no ray. ``robot`` has its beams as
     specified. ``sensor`` is known to turn beams and to have a bias; None if it is as specified.
     """
-    robot, bias = (robot, 0.0) if sensor is None else (sensor.mounted(robot), sensor.bias)
     first, used = (
         max(len(steps) - STEPS, 0),
         slice(None, None, math.ceil(len(robot.beams) / _BEAMS)),
     )
     steps = steps[first:]
     poses = np.array([step.pose for step in steps])
-    ranges = np.array([step.ranges[used] for step in steps])
+    ranges = np.array([step.ranges for step in steps])
+    if sensor is not None:
+        ranges, robot = sensor.corrected(ranges, robot), sensor.mounted(robot)
+    ranges = ranges[:, used]
     seen_nothing = ranges >= robot.too_far[used]
     usable = (ranges > robot.too_near[used]) & ~_missed(seen_nothing, np.isfinite(ranges))
     rows, places = np.nonzero(usable)
@@ -101,19 +104,20 @@ def numbered_rays_of(
     rays[:, RAY_X] = cos * from_x - sin * from_y + poses[rows, 0]
     rays[:, RAY_Y] = sin * from_x + cos * from_y + poses[rows, 1]
     rays[:, RAY_TO_X], rays[:, RAY_TO_Y] = cos * to_x - sin * to_y, sin * to_x + cos * to_y
-    rays[:, RAY_LENGTH] = _lengths(ranges[usable], bias, seen_nothing[usable], reaches)
+    rays[:, RAY_LENGTH] = np.where(seen_nothing[usable], reaches, ranges[usable])
     rays[:, RAY_REACH], rays[:, RAY_BEAM] = reaches, beams
     kept = _latest(rays)[-_RAYS:]
     return rays[kept], first + rows[kept].astype(np.int64)
 
 
-def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:
-    """The rays (m, 7) of the readings (n_beams,), m, of one step, in the frame of the robot.
+def step_rays(ranges: FloatArray, robot: RobotSpec) -> FloatArray:
+    """The rays (m, 7) of the corrected readings (n_beams,), m, of one step, in the frame of the
+    robot.
 
-    ``robot`` has its beams as they are mounted, and its readings are too long by ``bias``, m.
-    Readings that saw nothing count, since no other step says whether they are dropouts.
+    ``robot`` has its beams as they are mounted. Readings that saw nothing count, since no other
+    step says whether they are dropouts.
     """
-    lengths = _lengths(ranges, bias, ranges >= robot.too_far, robot.max_ranges)
+    lengths = np.where(ranges >= robot.too_far, robot.max_ranges, ranges)
     columns = (
         robot.beam_origins,
         robot.beam_directions,
@@ -122,15 +126,6 @@ def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:
         np.arange(len(ranges)),
     )
     return np.ascontiguousarray(np.column_stack(columns)[ranges > robot.too_near])
-
-
-def _lengths(
-    ranges: FloatArray, bias: float, seen_nothing: BoolArray, reaches: FloatArray
-) -> FloatArray:
-    """Lengths of rays, m: those of beams that have seen nothing are the longest ones, and others
-    are shorter.
-    """
-    return np.where(seen_nothing, reaches, np.clip(ranges - bias, 1e-6, reaches - 1e-6))
 
 
 def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:

@@ -6,35 +6,34 @@ That of a log that the graph has smoothed is in ``replay.trust``.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from limslam_agent.status.chance import (
+    LIMIT,
+    chance_mistaken,
+    chance_off,
+    either,
+    in_words,
+    rate_evidence,
+)
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import wrap_angle
 
 Level = Literal["ok", "unsure", "lost"]
 LEVELS: tuple[Level, ...] = ("ok", "unsure", "lost")
 """The levels of the status, the best one first."""
-
-UNSURE_HEADING = math.radians(4.0)
-"""Standard deviation of the heading beyond which an estimate is unsure, rad."""
 
 LARGE_CORRECTION = 0.3
 """A correction of a pose by more than this, m, moves the map: what was planned or found before
 means nothing then.
 """
 
-# The result is unsure or lost if this share of the readings contradicts the smoothed map. From a
-# smaller share on, a robot that was unsure or lost while it drove remains so.
-_UNSURE_SHARE, _LOST_SHARE, _DOUBTED_SHARE = 0.01, 0.03, 0.0025
-# It is unsure if the smoother made a large correction, and the mean NEES / 3 of the filter against
-# the smoothed path exceeds this.
-_MOVED_NEES = 5.0
-
-_LEAST_VARIANCES = np.diag([1e-3**2, 1e-3**2, 1e-3**2])
-"""Added to the covariances of the filter, m^2 and rad^2: the start is known exactly."""
+# Shares of the looks that pass through walls of a right map, and of a wrong one
+_RIGHT, _WRONG = 0.005, 0.12
+# Number of looks that count: those at one place have one cause. Felt by "late beam 1 s" and "slips"
+_LOOKS = 225
 
 
 @dataclass(frozen=True)
@@ -47,10 +46,18 @@ class Status:
         ``"ok"``, ``"unsure"`` or ``"lost"``.
     reason
         Why the level is not ``"ok"``, in words. Empty if it is.
+    chance
+        The chance that the estimate is off (:mod:`~limslam_agent.status.chance`). A place that was
+        found and is not confirmed is as likely wrong as right.
     """
 
     level: Level = "ok"
     reason: str = ""
+    chance: float = field(default=math.nan, compare=False)
+
+    def __post_init__(self) -> None:
+        if math.isnan(self.chance):
+            object.__setattr__(self, "chance", 0.5 * LEVELS.index(self.level))
 
     @property
     def words(self) -> str:
@@ -63,6 +70,11 @@ class Status:
         return f"{self.level}: {self.reason}" if self.reason else ""
 
 
+def judged(chance: float, reason: str) -> Status:
+    """The status of an estimate that nothing refutes, by the chance that it is off."""
+    return Status("ok", "", chance) if chance < LIMIT else Status("unsure", reason, chance)
+
+
 def worst(statuses: Sequence[Status]) -> Status:
     """The worst status of several robots. If there are several robots, the reason names the
     robot.
@@ -71,7 +83,7 @@ def worst(statuses: Sequence[Status]) -> Status:
     found = statuses[number]
     if len(statuses) == 1 or not found.reason:
         return found
-    return Status(found.level, f"robot {number + 1}: {found.reason}")
+    return replace(found, reason=f"robot {number + 1}: {found.reason}")
 
 
 def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str, Any]:
@@ -93,6 +105,7 @@ def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str
     return {
         "status": final.level,
         "status_reason": final.reason,
+        "status_chance": final.chance,
         "ok_s": float(lasts[worst_levels == LEVELS.index("ok")].sum()),
         "unsure_s": float(lasts[worst_levels == LEVELS.index("unsure")].sum()),
         "lost_s": float(lasts[lost].sum()),
@@ -101,57 +114,31 @@ def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str
 
 
 def smoothed_status(
-    contradictions: float,
-    filtered: tuple[FloatArray, FloatArray],
-    smoothed: tuple[FloatArray, FloatArray],
-    *,
-    while_driving: Level,
-    lost_since: float | None = None,
+    contradictions: float, covariances: FloatArray, *, lost_since: float | None = None
 ) -> Status:
-    """Whether the smoothed path and map can be trusted.
-
-    A smoothed path far away from that of a filter which was certain means that one of them is
-    wrong, and the readings of both fit their maps. A filter that said that it was lost was not
-    certain.
+    """Whether the smoothed path and map can be trusted, by the pose that is off most likely.
 
     Parameters
     ----------
     contradictions
         Share of the readings that passed through walls of the smoothed map.
-    filtered, smoothed
-        Poses (t, n, 3), m and rad, and their covariances (t, n, 3, 3): of the filter, as it
-        reported them, and of the smoother.
-    while_driving
-        The worst level of the status while the robots drove.
+    covariances
+        Covariances (t, n, 3, 3) of the smoothed poses.
     lost_since
         Time after the start, s, from which on the filter did not know the robot's place, or was
         wrong about it; None if it was not.
     """
+    if lost_since is not None:
+        return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
+    mistaken = chance_mistaken(rate_evidence(contradictions * _LOOKS, _LOOKS, _RIGHT, _WRONG))
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
-    if lost_since is not None or contradictions >= _LOST_SHARE:
-        unknown = (
-            ""
-            if lost_since is None
-            else f"the place of the robot is unknown from {lost_since:.0f} s on"
-        )
-        return Status("lost", unknown or share)
-    if contradictions >= _DOUBTED_SHARE and while_driving != "ok":
-        return Status(while_driving, f"{share}, and the robot was {while_driving} while it drove")
-    if contradictions >= _UNSURE_SHARE:
-        return Status("unsure", share)
-    moved, excess = _moved(filtered, smoothed)
-    if moved > LARGE_CORRECTION and excess > _MOVED_NEES:
-        return Status(
-            "unsure",
-            f"smoothing moved poses by up to {moved:.2f} m, of which the filter was too certain",
-        )
-    heading = math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0))
-    if heading > UNSURE_HEADING:
-        return Status(
-            "unsure",
-            f"the smoothed heading's standard deviation reaches {math.degrees(heading):.1f} deg",
-        )
-    return Status()
+    if mistaken > 1.0 - LIMIT:
+        return Status("lost", share, mistaken)
+    chances = chance_off(covariances)
+    far = float(chances.max())
+    worst = covariances[np.unravel_index(chances.argmax(), chances.shape)]
+    words = share if mistaken > far else in_words(far, worst, "a pose of the path")
+    return judged(either(far, mistaken), words)
 
 
 def lost_since(time: FloatArray, unplaced: int | None) -> float | None:
@@ -161,24 +148,9 @@ def lost_since(time: FloatArray, unplaced: int | None) -> float | None:
     return None if unplaced is None else float(time[min(unplaced, len(time) - 1)] - time[0])
 
 
-def _moved(
-    filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]
-) -> tuple[float, float]:
-    """The largest distance between the paths, m, and the mean NEES / 3 of the filter against the
-    smoothed path.
-
-    The mean is that of the worst robot.
-    """
-    off = smoothed[0] - filtered[0]
-    off[..., 2] = wrap_angle(off[..., 2])
-    solved = np.linalg.solve(filtered[1] + _LEAST_VARIANCES, off[..., None])[..., 0]
-    excess = np.sum(off * solved, axis=-1).mean(axis=0) / 3.0
-    return float(np.hypot(off[..., 0], off[..., 1]).max()), float(excess.max())
-
-
 def final_status_scores(
     final: Status, online: Status, time: FloatArray, levels: IntArray
-) -> dict[str, str]:
+) -> dict[str, Any]:
     """The status of a smoothed result, by its names in ``docs/metrics.md``, beside that of the
     filter at the end.
 
@@ -196,6 +168,7 @@ def final_status_scores(
     return {
         "status": final.level,
         "status_reason": final.reason,
+        "status_chance": final.chance,
         "status_note": note,
         "status_online": online.level,
         "status_online_reason": online.reason,

@@ -262,8 +262,9 @@ class SuddenChanges:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says
         nothing.
         """
-        sensor = known.sensor
-        rays = moved(step_rays(sight.ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
+        sensor, robot = known.sensor, self._robot
+        ranges = sensor.corrected(sight.ranges, robot)
+        rays = moved(step_rays(ranges, sensor.mounted(robot)), sight.pose)
         found: BoolArray = np.zeros(len(sight.ranges), dtype=bool)
         found[rays[:, RAY_BEAM].astype(int)] = (
             known.explained(rays, covariance).evidence > _EXPLAINED

@@ -18,7 +18,7 @@ from limslam_agent.replay.smoothing import draw_grid
 from limslam_agent.slam.graph.smooth import Report, saying
 from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, smooth_with_unknown_start
 from limslam_agent.status.known_map import MATCH_COVARIANCE
-from limslam_agent.status.status import LEVELS, Status, smoothed_status
+from limslam_agent.status.status import Status, smoothed_status
 from limslam_agent.two_logs.by_graph import joined_by_graph
 from limslam_agent.two_logs.joint import JointReplay, Replays, frame_of
 from limslam_agent.two_logs.place import place_in, sensor_of
@@ -155,15 +155,10 @@ def joined_by_lines(replays: Replays, frame: FloatArray, report: Report) -> Join
         return "the readings lead away from the matched place"
     if moved > _FURTHEST[0]:
         return f"smoothing both logs together moves the path of one of them by {moved:.2f} m"
-    status = smoothed_status(
-        smoothed.contradictions,
-        (run.poses, run.covariances),
-        (smoothed.poses, smoothed.covariances),
-        while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
-    )
+    status = smoothed_status(smoothed.contradictions, smoothed.covariances)
     if status.level != "ok":
         return status.reason
-    grid = draw_grid(replays, poses, smoothed.robot)
+    grid = draw_grid(replays, poses, smoothed.robot, smoothed.ranges)
     again = place_in(
         KnownPlaces(smoothed.segments, grid, sensor_of(replays[0])), replays[1], poses[1]
     )

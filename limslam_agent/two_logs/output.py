@@ -125,6 +125,7 @@ def _result(
     statuses = {
         "status": joint.status.level,
         "status_reason": joint.status.reason,
+        "status_chance": joint.status.chance,
         "status_note": "",
     }
     counts = {

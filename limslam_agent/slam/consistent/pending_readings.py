@@ -123,7 +123,7 @@ def readings_of(
     """
     numbers, readings = waiting[:, BEAM].astype(np.int64), np.empty((len(waiting), 6))
     readings[:, 0], readings[:, 1] = beams[:, FROM_X][numbers], beams[:, FROM_Y][numbers]
-    readings[:, 2], readings[:, 3] = beams[:, ANGLE][numbers], waiting[:, RANGE] - settings.bias
+    readings[:, 2], readings[:, 3] = beams[:, ANGLE][numbers], waiting[:, RANGE]
     readings[:, 4], readings[:, 5] = settings.cone, waiting[:, BEAM]
     variances = settings.std**2 + (settings.growth * readings[:, 3] ** 2) ** 2
     return places_of(ekf, waiting[:, CLONE]), readings, variances

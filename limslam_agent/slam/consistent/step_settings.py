@@ -14,7 +14,7 @@ class StepSettings(NamedTuple):
 
     Attributes
     ----------
-    std, growth, cone, bias, usual_std
+    std, growth, cone, usual_std
         Of the ``RangeSensor``, and the standard deviation of a range of usual length, m.
     min_distance, min_turn, batch, max_age, max_clones
         Of ``PendingReadingsConfig``.
@@ -31,7 +31,6 @@ class StepSettings(NamedTuple):
     std: float
     growth: float
     cone: float
-    bias: float
     usual_std: float
     min_distance: float
     min_turn: float
@@ -58,7 +57,6 @@ def step_settings(config: ConsistentConfig, sensor: RangeSensor, usual_std: floa
         std=sensor.std,
         growth=sensor.growth,
         cone=sensor.cone,
-        bias=sensor.bias,
         usual_std=usual_std,
         min_distance=pending.min_distance,
         min_turn=pending.min_turn,

@@ -3,12 +3,13 @@ other robots.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
 from limslam_agent.kernels.tables import HOLD, MOVED
 from limslam_agent.readings import TURN_LENGTH, new_repeats
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import floats
 from limslam_env.interface import Observation, RobotSpec
@@ -27,9 +28,10 @@ class FrontEnd:
     ----------
     step
         Number of the latest observation, from 0.
+    reported
+        The latest readings (n_beams,), m, as `limslam_agent.readings` defines them.
     ranges, measured
-        The latest readings (n_beams,), m, as `limslam_agent.readings` defines them, and which of
-        them are new and not NaN.
+        The same, corrected for what is known of the sensor, and which of them are new and not NaN.
     hits
         New readings (n_beams,) that show a wall: not at the sensor's limits.
     repeats
@@ -45,7 +47,8 @@ class FrontEnd:
     def __init__(self, robot: RobotSpec) -> None:
         self._robot = robot
         self.step = -1
-        self.ranges: FloatArray = np.array(robot.max_ranges)
+        self.reported: FloatArray = np.array(robot.max_ranges)
+        self.ranges = self.reported
         self.measured: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.dropped: BoolArray = np.zeros(len(robot.beams), dtype=bool)
         self.hits: BoolArray = np.zeros(len(robot.beams), dtype=bool)
@@ -79,8 +82,9 @@ class FrontEnd:
             )
 
     def accept(self, observation: Observation, motion: FloatArray) -> None:
-        """Store the readings of the next step, which have been checked. The robot has moved by
-        ``motion`` (3,) since the last one, m, m, rad.
+        """Store the readings of the next step, which have been checked and are not corrected yet.
+
+        The robot has moved by ``motion`` (3,) since the last one, m, m, rad.
         """
         moved = math.hypot(motion[0], motion[1]) + TURN_LENGTH * abs(float(motion[2]))
         self.step += 1
@@ -93,27 +97,30 @@ class FrontEnd:
 
         robot, values = self._robot, np.array(observation["ranges"], dtype=float)
         limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
-        self.ranges, self.measured, self.hits = (
+        self.reported, self.measured, self.hits = (
             np.empty(len(values)),
             robot.measures(self.step),
             self.dropped.copy(),
         )
         self.refused_readings += sort_readings(
-            values, *limits, moved, self.repeats, self.ranges, self.measured, self.hits
+            values, *limits, moved, self.repeats, self.reported, self.measured, self.hits
         )
 
     def know_repeats(self, other: "FrontEnd") -> None:
         """Take those beams to repeat their readings of which the same robot has found it before."""
         self.repeats[:, HOLD] = other.repeats[:, HOLD]
 
-    def leave_out(self, beams: Sequence[int]) -> None:
-        """Take broken beams to have seen nothing that counts."""
-        for beam in beams:
-            self.ranges[beam], self.measured[beam], self.hits[beam] = (
+    def correct(self, sensor: RangeSensor) -> None:
+        """Correct the readings for what is known of the sensor. Broken beams have seen nothing that
+        counts.
+        """
+        for beam in sensor.broken:
+            self.reported[beam], self.measured[beam], self.hits[beam] = (
                 self._robot.max_ranges[beam],
                 False,
                 False,
             )
+        self.ranges = sensor.corrected(self.reported, self._robot)
 
     def drop(self, beams: BoolArray) -> None:
         """Drop those of the given beams (n_beams,) that hit something: they may have hit another

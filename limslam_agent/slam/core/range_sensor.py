@@ -43,9 +43,35 @@ class RangeSensor(NamedTuple):
     broken: tuple[int, ...] = ()
 
     @property
-    def numbers(self) -> tuple[float, float, float, float]:
-        """All of it but turns and delay as plain numbers, for compiled code."""
-        return float(self.std), float(self.growth), float(self.cone), float(self.bias)
+    def numbers(self) -> tuple[float, float, float]:
+        """Noise and opening angle as plain numbers, for compiled code."""
+        return float(self.std), float(self.growth), float(self.cone)
+
+    @property
+    def places(self) -> tuple[Any, ...]:
+        """What decides where the ends of beams are drawn."""
+        return self.bias, self.turns
+
+    def corrected(self, ranges: FloatArray, robot: RobotSpec) -> FloatArray:
+        """Reported ranges (..., n_beams) as they should have been, m.
+
+        Those that show no wall, at the sensor's limits, remain as they are, and no other one
+        becomes one of them.
+        """
+        if not self.bias:
+            return ranges
+        near, far = robot.too_near, robot.too_far
+        is_wall = (ranges > near) & (ranges < far)
+        within = np.clip(self.true(ranges), np.nextafter(near, far), np.nextafter(far, near))
+        return np.where(is_wall, within, ranges)
+
+    def true(self, ranges: FloatArray) -> FloatArray:
+        """Distances at which ranges are reported, m."""
+        return np.asarray(ranges - self.bias)
+
+    def reported(self, distances: FloatArray) -> FloatArray:
+        """Ranges that are reported at distances, m."""
+        return np.asarray(distances + self.bias)
 
     def variances(self, ranges: FloatArray) -> FloatArray:
         """Variances of ranges (n,), m^2."""

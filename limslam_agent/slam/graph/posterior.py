@@ -22,14 +22,14 @@ _WINDOW, _MOST = 14.0, 60
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
-def position_std(
+def position_covariances(
     keys: KeyPoses,
     trajectory: Trajectory,
     relations: Relations,
     config: GraphConfig,
     range_std: float,
-) -> float:
-    """Expected root mean square error of the positions of a path after rigid alignment, m.
+) -> FloatArray:
+    """Covariances (k, 2, 2) of positions along a path after rigid alignment, m^2.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def position_std(
         Specified standard deviation of a range, m.
     """
     if len(keys) < 2:
-        return 0.0
+        return np.zeros((1, 2, 2))
     equations = cautious_equations(keys, trajectory, config, range_std, relations)
     for _ in range(_ITERATIONS):
         ratios = odometry_ratios(keys, trajectory, equations)
@@ -53,7 +53,9 @@ def position_std(
     rows[columns, np.arange(len(columns))] = 1.0
     covariance = equations.solved(equations.factorise(), rows)[columns]
     left = aligned_covariance(covariance, trajectory.poses[numbers, :2])
-    return float(np.sqrt(max(np.trace(left), 0.0) / len(numbers)))
+    places = np.arange(len(numbers))
+    blocks: FloatArray = left.reshape(len(numbers), 2, len(numbers), 2)[places, :, places]
+    return blocks
 
 
 def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatArray:

@@ -175,18 +175,17 @@ def chi_square(problem: Problem, state: State, readings: Expected, weights: Floa
     variance.
     """
     driven = problem.whitened(state.motions - problem.motions(state.calibration))
-    read = range_residuals(problem, state, readings)
+    read = range_residuals(problem, readings)
     total = float(np.sum(driven**2) + np.sum(weights * read**2))
     if problem.prior is None:
         return total
-    off = state.calibration - problem.assumed_calibration
+    off = state.calibration
     return total + float(np.einsum("ni,ij,nj->", off, problem.prior, off))
 
 
-def range_residuals(problem: Problem, state: State, readings: Expected) -> FloatArray:
+def range_residuals(problem: Problem, readings: Expected) -> FloatArray:
     """Measured minus expected ranges (k,), m."""
-    biases = state.calibration[problem.readings.places // problem.steps, 3]
-    return np.asarray(problem.readings.distances - readings.ranges - biases)
+    return np.asarray(problem.readings.distances - readings.ranges)
 
 
 def not_grazing(readings: Expected, labels: IntArray) -> BoolArray:
@@ -205,9 +204,7 @@ def where_read(problem: Problem, state: State, labels: IntArray) -> State:
     weighted, places = readings.by_pose * weights[:, None], problem.readings.places
     information, score = np.zeros_like(jitters), np.zeros((len(jitters), 3, 1))
     np.add.at(information, places, weighted[:, :, None] * readings.by_pose[:, None])
-    np.add.at(
-        score, places, (weighted * range_residuals(problem, state, readings)[:, None])[..., None]
-    )
+    np.add.at(score, places, (weighted * range_residuals(problem, readings)[:, None])[..., None])
     moved_by = np.linalg.solve(np.eye(3) + jitters @ information, jitters @ score)
     return replace(state, poses=state.poses + moved_by.reshape(state.poses.shape))
 
@@ -223,7 +220,7 @@ class _Graph:
         unknowns = self._unknowns
         equations = self.equations = NormalEquations(unknowns.size, unknowns.order)
         self._add_motions(state)
-        self._add_readings(state, readings, weights)
+        self._add_readings(readings, weights)
         # Each line has a wide prior, which keeps its equations regular if it was read only once.
         lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
         equations.add(
@@ -293,9 +290,11 @@ class _Graph:
             columns = np.concatenate(
                 (columns, np.repeat(own[:, None], problem.steps - 1, axis=1)), axis=-1
             )
-            off, count = state.calibration - problem.assumed_calibration, len(own)
+            count = len(own)
             identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
-            self.equations.add(own, identity, off, np.tile(problem.prior, (count, 1, 1)))
+            self.equations.add(
+                own, identity, state.calibration, np.tile(problem.prior, (count, 1, 1))
+            )
         white, width = problem.whitened(jacobian), jacobian.shape[-1]
         self.equations.add(
             columns.reshape(-1, width),
@@ -303,7 +302,7 @@ class _Graph:
             problem.whitened(errors).reshape(-1, 3),
         )
 
-    def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
+    def _add_readings(self, readings: Expected, weights: FloatArray) -> None:
         """Add the readings of lines."""
         problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
         places, roots = problem.readings.places[used], np.sqrt(weights[used])
@@ -316,7 +315,7 @@ class _Graph:
             robots = places[:, None] // problem.steps
             columns.append(unknowns.first_calibration + unknowns.calibrated * robots + 3)
             jacobian.append(np.ones((len(used), 1)))
-        errors = -range_residuals(problem, state, readings)[used] * roots
+        errors = -range_residuals(problem, readings)[used] * roots
         self.equations.add(
             np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None]
         )

@@ -40,8 +40,8 @@ def with_new_lines(
     readings, beams = problem.readings, problem.beams[unexplained]
     places = readings.places[unexplained]
     origins, ahead = rays(state.flat_poses[places], beams)
-    biases = state.calibration[places // problem.steps, 3]
-    points = origins + (readings.distances[unexplained] - biases)[:, None] * ahead
+    distances = problem.true(readings, state.calibration)[unexplained]
+    points = origins + distances[:, None] * ahead
     pairs = cKDTree(points).query_pairs(_JOINED, output_type="ndarray")
     near = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
     count, group = connected_components(near, directed=False)

@@ -100,7 +100,7 @@ class Problem:
     # the length of its free path
     readings: Readings
     looks: Readings
-    # how the ranges are measured. A calibration estimates their bias from that of the sensor on.
+    # how the ranges are measured, which are corrected for it. A calibration is what is left.
     sensor: RangeSensor
     # the ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them
     ticks: FloatArray
@@ -169,10 +169,12 @@ class Problem:
             self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose)
         )
 
-    @cached_property
-    def assumed_calibration(self) -> FloatArray:
-        """The calibration (n, 4) of robots that are as specified, but for the known bias."""
-        return np.tile((0.0, 0.0, 0.0, self.sensor.bias), (len(self.starts), 1))
+    def true(self, readings: Readings, calibration: FloatArray) -> FloatArray:
+        """The distances (k,), m, at which readings of walls were taken, by the calibration (n,
+        4).
+        """
+        biases = calibration[readings.places // self.steps, 3]
+        return np.asarray(readings.distances - biases)
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
@@ -227,7 +229,8 @@ class State:
         m.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle, or with a heading
-        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges, m.
+        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges beside that
+        of the sensor, m.
     """
 
     motions: FloatArray
@@ -254,6 +257,7 @@ def make_problem(
     sensor: RangeSensor | None = None,
     ticks: FloatArray | None = None,
     yaw: FloatArray | None = None,
+    unknown: FloatArray | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -280,25 +284,34 @@ def make_problem(
     yaw
         Headings (t, n) by inertial measurement units, rad, NaN without a reading; None without such
         sensors.
+    unknown
+        Variances (t, n, 2) of the wheels' travel beyond the noise of encoders, m^2.
     """
-    reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
+    wheels = np.asarray(wheels, dtype=float)
+    unknown = np.zeros_like(wheels) if unknown is None else unknown
+    reported = np.moveaxis(wheels, 0, 1)[:, 1:]
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
     ranges = np.asarray(ranges, dtype=float)
     fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
     measured = fresh & np.isfinite(ranges) & (True if usable is None else usable)
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
     measured[..., list(sensor.broken)] = False
+    ranges = sensor.corrected(ranges, robot)
     looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
-    ticks = ticks_of(wheels) if ticks is None else ticks
+    ticks = ticks_of(np.where(unknown, 0.0, wheels)) if ticks is None else ticks
     covariances = slip_covariances(
         robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
     )
     covariances[..., 2, 2] += ASIDE_STD**2
-    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels)
+    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels, unknown)
     if steered is None:
-        covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
+        covariances[..., [0, 1], [0, 1]] += (
+            noise.wheel_variance * np.abs(reported)
+            + LEAST_VARIANCE
+            + np.moveaxis(unknown, 0, 1)[:, 1:]
+        )
     else:
         motions[..., :2] = steered.motions
         covariances[..., :2, :2] += steered.covariances
@@ -340,19 +353,27 @@ class _Steered(NamedTuple):
 
 
 def _by_headings(
-    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+    robot: RobotSpec,
+    noise: NominalNoise,
+    yaw: FloatArray,
+    wheels: FloatArray,
+    unknown: FloatArray,
 ) -> _Steered:
-    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m."""
-    travel = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)
+    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m, with its
+    further variances, m^2.
+    """
+    travel, more = np.moveaxis(wheels, 0, 1), unknown.sum(axis=-1).T
     table = np.array(
         [
             [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
-            for own in (turns_of(robot, noise, *each) for each in zip(yaw.T, travel, strict=True))
+            for own in (
+                turns_of(robot, noise, *each) for each in zip(yaw.T, travel, more, strict=True)
+            )
         ]
     )
     angles, variances = table[:, 1:, 0, None, None], table[:, 1:, 1, None, None]
     distances = 0.5 * travel[:, 1:].sum(axis=-1)
-    of_distances = 0.25 * noise.wheel_variance * np.abs(travel[:, 1:]).sum(axis=-1)
+    of_distances = 0.25 * (noise.wheel_variance * np.abs(travel).sum(axis=-1) + more)[:, 1:]
     by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
     covariances = (of_distances + 0.5 * LEAST_VARIANCE)[..., None, None] * np.ones((2, 2))
     return _Steered(
@@ -373,7 +394,7 @@ def state_from_poses(problem: Problem, poses: FloatArray) -> State:
     """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be
     wrapped.
     """
-    calibration = problem.assumed_calibration
+    calibration = np.zeros((len(problem.starts), len(CALIBRATION_PRIOR)))
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
     motions = np.array(
@@ -403,6 +424,8 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     mean nothing.
     """
     poses, beams = state.flat_poses[problem.readings.places], problem.beams
-    return expected_readings(
+    found = expected_readings(
         poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
     )
+    biases = state.calibration[problem.readings.places // problem.steps, 3]
+    return found._replace(ranges=found.ranges + biases)

@@ -14,14 +14,18 @@ from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.crossings import count_crossings
 from limslam_agent.slam.line_graph.problem import Readings, State
-from limslam_agent.slam.line_graph.reassociation import Association, places_along
+from limslam_agent.slam.line_graph.reassociation import (
+    Association,
+    places_along,
+    solve_again,
+)
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 
 
-def tally(found: Association) -> tuple[list[WallExtent], int]:
-    """Where along each line of a solution beams ended and passed, and the number of beams that
-    passed through walls.
+def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
+    """Where along each line of a solution beams ended and passed, and how much each of the looks
+    (k,) contradicts walls.
     """
     problem, state, used = found.problem, found.state, found.labels >= 0
     looks = problem.looks
@@ -37,29 +41,49 @@ def tally(found: Association) -> tuple[list[WallExtent], int]:
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
-    misses, crossed = count_crossings(
-        state, looks.places, problem.look_beams, looks.distances, low, hits, margin
+    free = np.where(problem.is_hit, problem.true(looks, state.calibration), looks.distances)
+    misses, through = count_crossings(
+        state, looks.places, problem.look_beams, free, low, hits, margin
     )
     counted = np.stack((hits, misses), axis=1)
     return [
         WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)
-    ], crossed
+    ], through
+
+
+def lasting(found: Association) -> Association:
+    """The optimum without the readings of what did not last, as somebody who walked by: of places
+    where more beams passed than ended.
+    """
+    along, labels = places_along(found.problem, found.state, found.labels), found.labels.copy()
+    for index, extent in enumerate(tally(found)[0]):
+        own = np.flatnonzero(labels == index)
+        bins = np.floor(along[own] / BIN).astype(np.int64) - extent.low
+        hits, misses = extent.counted[:, bins]
+        labels[own[misses > THROUGH_TOLERANCE * hits]] = -1
+    if np.array_equal(labels, found.labels):
+        return found
+    return solve_again(found.problem, found.state, labels)
 
 
 def contradictions(found: Association) -> float:
     """Share of the looks that pass through walls, without those that saw nothing and may be
-    dropouts of the sensor.
+    dropouts of the sensor, and without the beam that says most, which may be broken.
 
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
     problem, looks = found.problem, found.problem.looks
-    steps = len(problem.starts) * problem.steps
-    is_empty = np.zeros((steps + 2, len(problem.robot.beams)), dtype=bool)
+    steps, beams = len(problem.starts) * problem.steps, len(problem.robot.beams)
+    is_empty = np.zeros((steps + 2, beams), dtype=bool)
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
     kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
-    return tally(replace(found, problem=replace(problem, looks=kept)))[1] / max(len(kept), 1)
+    _, weights = tally(replace(found, problem=replace(problem, looks=kept)))
+    against = np.bincount(kept.beams, weights, minlength=beams)
+    tested = np.bincount(kept.beams, minlength=beams)
+    others = np.arange(beams) != against.argmax()
+    return float(against[others].sum() / max(tested[others].sum(), 1))
 
 
 def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:

@@ -52,8 +52,6 @@ def ended(tmp_path, *options, step, numbers, ignored=None):
     ("numbers", "code"),
     [
         ([signal.SIGINT], 130),
-        ([signal.SIGTERM], 143),
-        ([signal.SIGHUP], 129),
         ([signal.SIGHUP, signal.SIGHUP, signal.SIGTERM], 129),  # as a shell that is closed sends
         ([signal.SIGTERM, signal.SIGTERM], 143),
     ],
@@ -76,7 +74,7 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path, numbers, code):
     assert (shown.returncode, shown.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("options", [(), ("--limit",), ("--imu",)])
+@pytest.mark.parametrize("options", [(), ("--limit", "--imu")])
 def test_a_run_of_one_step_has_a_folder(tmp_path, options):
     finished, folder = ended(tmp_path, *options, step=1, numbers=[signal.SIGINT])
     assert finished.returncode == 130, finished.stderr

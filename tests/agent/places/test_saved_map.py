@@ -1,5 +1,7 @@
 """A run that begins at an unknown place of an earlier map finds itself, and goes on in that map."""
 
+import shutil
+
 import numpy as np
 import pytest
 from support.command_line import limslam
@@ -171,8 +173,8 @@ def damage(name, content):
         (damage("map.pgm", "P5\n2 2\n255\nx"), "is not as limslam writes it"),
     ],
 )
-def test_damaged_maps_are_refused_in_one_line(tmp_path, change, words):
-    write_map(tmp_path, map_of(load_world("env3")))
+def test_damaged_maps_are_refused_in_one_line(folder, tmp_path, change, words):
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     change(tmp_path)
     with pytest.raises(SavedMapError, match=words) as caught:
         read_saved_map(tmp_path)

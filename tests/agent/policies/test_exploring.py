@@ -287,10 +287,37 @@ def test_a_run_until_the_walls_are_whole_finds_more_walls_and_says_so() -> None:
     assert lengths[1] > lengths[0] + 0.2
 
 
-def test_two_robots_look_at_the_walls_together() -> None:
-    episode = run("walls", robots=2)
+def test_two_robots_divide_the_walls() -> None:
+    teams = []
+    config = RunConfig(room_world(), 0.02, "consistent", 100, 600.0, until="walls", robots=2)
+    episode = run_episode(config, lambda team, *_: teams.append(team))
     assert episode.is_finished
     assert "all walls were looked at" in episode.stop_reason
+    first, second = ([faces.middles for faces in policy.looks] for policy in teams[-1].policies)
+    assert first
+    assert second
+    away = np.concatenate(first)[:, None] - np.concatenate(second)
+    assert np.hypot(*away.T).min() > 0.1
+
+
+def test_a_wall_that_a_teammate_looks_at_is_left_to_it() -> None:
+    belief = belief_at([2.5, 1.9, 0.0], with_gap(0, 0.6, 0.8))
+    first, second = WallPolicy(ROBOT, CONFIG), WallPolicy(ROBOT, CONFIG)
+    first.act(belief)
+    assert first.stop_reason is None
+    assert len(first.looks) == 1
+    second.act(replace(belief, other_looks=[open_border(belief, [])]))
+    assert second.stop_reason == ("explored: no frontier is left, and all walls were looked at")
+
+
+def test_what_was_looked_at_is_not_looked_at_again_after_news_of_teammates() -> None:
+    policy, pose, walls = WallPolicy(ROBOT, CONFIG), place(20, 15), with_gap(0, 0.6, 0.8)
+    while policy.stop_reason is None:
+        pose = drive(pose, policy.act(belief_at(pose, walls)))
+    assert policy.looks
+    policy.restart()
+    policy.act(belief_at(pose, walls))
+    assert policy.stop_reason is not None
 
 
 SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])

@@ -19,7 +19,7 @@ from limslam_agent import (
     medians,
     preset,
 )
-from limslam_env import LimSlamEnv, NominalNoise, RobotSpec, World
+from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, RobotSpec, World
 
 ROBOT = RobotSpec()
 TOLD = preset("paper", NominalNoise(0.02))
@@ -316,6 +316,15 @@ def test_the_policies_of_the_package_need_no_arguments(policy):
     (result,) = evaluate(policy, "LimSlam-Env2-v0", [0], max_time=6.0, sensor_noise=0.02)
     assert result["path_m"] > 0.0
     assert "ate_m" in result
+
+
+def test_the_agent_of_a_policy_is_told_the_nominal_noise_of_the_environment():
+    noise = NoiseConfig(sensor_noise=(0.0, np.float64(0.03)), wheel_variance=(2e-5, 2e-4))
+    told = LimSlamEnv(ROOM, noise=noise).nominal_noise
+    where = {"env_id": "LimSlam-Env2-v0", "seeds": [3], "max_time": 4.0, "noise": noise}
+    assert evaluate("frontier", **where) == evaluate(
+        LimSlamAgent(ROBOT, preset("graph", told)), **where
+    )
 
 
 @pytest.mark.parametrize("name", ["frontier_fast", "learned"])

@@ -94,7 +94,7 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
         assert 0.0 < cell["ate_smoothed_m"] < 0.3
         assert cell["status"] == "ok"
     lines = table(board)
-    assert "| 2 (2) |" in lines[4]
+    assert "| 2 (2) |" in lines[5]
     assert sum(line.startswith(("| nominal | 2 |", "| late | 1 |")) for line in lines) == 2
     found = compared(board["cells"], board["cells"])
     assert [(each.row, each.ratios["ate_m"].value) for each in found] == [
@@ -259,6 +259,8 @@ def test_seconds_are_counted_by_hand_made_errors():
         "wrong_ok_s": 1.0,
         "longest_wrong_ok_s": 1.0,
         "false_alarm_s": 2.0,
+        "ok_s": 1.0,
+        "off_ok_s": 1.0,
     }
     twice = while_driving(
         time, true, estimated + np.array([0.6, 0.0, 0.0]), np.array([[0], [0], [1], [0], [0]])

@@ -41,9 +41,9 @@ def compare(name, steps, **arguments):
 noise = NoiseConfig.sharp(sensor_noise=(0.01, 0.03), slip_rate=3.0, axle_mismatch=(-0.05, 0.05))
 beams = tuple(SensorSpec(0.0, 0.0, 2.0 * beam, period=3, phase=beam) for beam in range(3))
 robot = RobotSpec(beams=beams)
-compare("LimSlam-Env1-v0", 24, noise=noise, max_episode_steps=8, robot=robot)
+compare("LimSlam-Env1-v0", 13, noise=noise, max_episode_steps=4, robot=robot)
 plans = FloorPlanConfig(width=3.0, height=3.0)
-compare("LimSlam-World-v0", 24, world=plans, plans=3, sensor_noise=0.02, coverage_goal=0.2)
+compare("LimSlam-World-v0", 14, world=plans, plans=3, sensor_noise=0.02, coverage_goal=0.2)
 
 envs = gym.make_vec("LimSlam-Env1-v0", num_envs=2, device="cuda")
 envs.reset(seed=0, options={"start": (1.0, 2.0, 0.5)})

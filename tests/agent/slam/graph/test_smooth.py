@@ -349,4 +349,8 @@ def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
     assert both.handed_over == lost
     assert np.hypot(*(found.pose - truth[count - 1])[:2]) < 0.5
     monkeypatch.setattr(OnlineGraph, "position_std", 2.34)
-    assert both.status == Status("unsure", "the position in the map may be 2.3 m off")
+    assert both.status == Status(
+        "unsure",
+        "the chance that the position in the map is more than 0.5 m off is 96 % "
+        "(standard deviation 2.34 m)",
+    )
