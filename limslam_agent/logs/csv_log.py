@@ -200,6 +200,7 @@ class _Table:
                 has_scan,
                 robot,
                 notes=found,
+                gaps=odometry.gaps,
                 columns=columns,
                 header=self.names,
             )
@@ -213,6 +214,7 @@ class _Table:
             has_scan,
             wheels=odometry.wheels,
             yaw=odometry.yaw,
+            missing_reports=odometry.missing,
             notes=found,
             columns=columns,
             header=self.names,

@@ -195,6 +195,7 @@ def smoothed_by_lines(
         slips=tuple((0, *part) for part in places.slips),
         sensor=replay.sensor,
         yaw=None if log.yaw is None else log.yaw[:, None],
+        wheel_variances=None if log.wheel_variances is None else log.wheel_variances[:, None],
     )
     found = smooth_run(run, config, placed)
     if found is None:

@@ -294,11 +294,12 @@ class ConsistentEstimator(Estimator):
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Collect the new readings of a robot, and process each side that has enough of them."""
         del motion
-        self._clear_along_beams(number, front)
         travel, settings = self._travel[number], self.settings
         own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
         pending, fill = self._pending[own], self._fill[own]
         if is_due(travel, front.hits, self._sides, settings):
+            # A robot that stands sees nothing new: neither what beams end on nor what they pass.
+            self._clear_along_beams(number, front)
             clone = self.filter.clone(number)
             collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
         for side in range(len(SIDES)):

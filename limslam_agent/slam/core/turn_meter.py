@@ -75,7 +75,7 @@ class TurnMeter:
         self._yaw, self._tick, self._still = math.nan, 0.0, 0.0
         self._since_reading()
 
-    def step(self, yaw: float, wheels: FloatArray) -> Turn:
+    def step(self, yaw: float, wheels: FloatArray, more: float = 0.0) -> Turn:
         """The turn of the next step.
 
         Parameters
@@ -84,6 +84,8 @@ class TurnMeter:
             The heading after the step, rad; NaN without a reading.
         wheels
             Travel (2,) of left and right wheel in the step, m.
+        more
+            Variance of both wheels' travel in all beyond the noise of encoders, m^2.
         """
         left, right = float(wheels[0]), float(wheels[1])
         period, axle, travel = self._robot.control_period, self._robot.axle, abs(left) + abs(right)
@@ -91,8 +93,8 @@ class TurnMeter:
         self._still = 0.0 if travel else self._still + period
         self._seconds += period
         self._turned += turn
-        self._slipping += travel / axle
-        self._variance += self._noise.wheel_variance * travel / axle**2 + LEAST_VARIANCE
+        self._slipping += (travel + _SURE * math.sqrt(more)) / axle
+        self._variance += (self._noise.wheel_variance * travel + more) / axle**2 + LEAST_VARIANCE
         if math.isnan(yaw):
             return self._without_reading(turn)
         if math.isnan(self._yaw):
@@ -147,8 +149,15 @@ class TurnMeter:
 
 
 def turns_of(
-    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+    robot: RobotSpec,
+    noise: NominalNoise,
+    yaw: FloatArray,
+    wheels: FloatArray,
+    more: FloatArray | float = 0.0,
 ) -> list[Turn]:
-    """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m."""
-    meter = TurnMeter(robot, noise)
-    return [meter.step(*each) for each in zip(yaw.tolist(), np.asarray(wheels), strict=True)]
+    """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m.
+    ``more`` (t,) are as in :meth:`TurnMeter.step`.
+    """
+    meter, more = TurnMeter(robot, noise), np.broadcast_to(more, len(yaw))
+    steps = zip(yaw.tolist(), np.asarray(wheels), more.tolist(), strict=True)
+    return [meter.step(*each) for each in steps]

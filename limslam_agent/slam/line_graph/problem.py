@@ -257,6 +257,7 @@ def make_problem(
     sensor: RangeSensor | None = None,
     ticks: FloatArray | None = None,
     yaw: FloatArray | None = None,
+    unknown: FloatArray | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -283,8 +284,12 @@ def make_problem(
     yaw
         Headings (t, n) by inertial measurement units, rad, NaN without a reading; None without such
         sensors.
+    unknown
+        Variances (t, n, 2) of the wheels' travel beyond the noise of encoders, m^2.
     """
-    reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
+    wheels = np.asarray(wheels, dtype=float)
+    unknown = np.zeros_like(wheels) if unknown is None else unknown
+    reported = np.moveaxis(wheels, 0, 1)[:, 1:]
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
     ranges = np.asarray(ranges, dtype=float)
     fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
@@ -295,14 +300,18 @@ def make_problem(
     looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
-    ticks = ticks_of(wheels) if ticks is None else ticks
+    ticks = ticks_of(np.where(unknown, 0.0, wheels)) if ticks is None else ticks
     covariances = slip_covariances(
         robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
     )
     covariances[..., 2, 2] += ASIDE_STD**2
-    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels)
+    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels, unknown)
     if steered is None:
-        covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
+        covariances[..., [0, 1], [0, 1]] += (
+            noise.wheel_variance * np.abs(reported)
+            + LEAST_VARIANCE
+            + np.moveaxis(unknown, 0, 1)[:, 1:]
+        )
     else:
         motions[..., :2] = steered.motions
         covariances[..., :2, :2] += steered.covariances
@@ -344,19 +353,27 @@ class _Steered(NamedTuple):
 
 
 def _by_headings(
-    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+    robot: RobotSpec,
+    noise: NominalNoise,
+    yaw: FloatArray,
+    wheels: FloatArray,
+    unknown: FloatArray,
 ) -> _Steered:
-    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m."""
-    travel = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)
+    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m, with its
+    further variances, m^2.
+    """
+    travel, more = np.moveaxis(wheels, 0, 1), unknown.sum(axis=-1).T
     table = np.array(
         [
             [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
-            for own in (turns_of(robot, noise, *each) for each in zip(yaw.T, travel, strict=True))
+            for own in (
+                turns_of(robot, noise, *each) for each in zip(yaw.T, travel, more, strict=True)
+            )
         ]
     )
     angles, variances = table[:, 1:, 0, None, None], table[:, 1:, 1, None, None]
     distances = 0.5 * travel[:, 1:].sum(axis=-1)
-    of_distances = 0.25 * noise.wheel_variance * np.abs(travel[:, 1:]).sum(axis=-1)
+    of_distances = 0.25 * (noise.wheel_variance * np.abs(travel).sum(axis=-1) + more)[:, 1:]
     by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
     covariances = (of_distances + 0.5 * LEAST_VARIANCE)[..., None, None] * np.ones((2, 2))
     return _Steered(

@@ -33,7 +33,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction
+from limslam_env.geometry.line import angle_between, direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
@@ -172,6 +172,8 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
 def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings of no
     line.
+
+    A beam with an opening angle meets its line at the nearest point inside of it.
     """
     used = np.flatnonzero(labels >= 0)
     poses, beams, own = (
@@ -180,6 +182,8 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
         labels[used],
     )
     lines, anchors = state.lines[own], state.anchors[own]
+    slants = angle_between(lines[:, 1] - poses[:, 2] - beams[:, 2])
+    beams[:, 2] += np.clip(slants, -problem.sensor.cone, problem.sensor.cone)
     origins, ahead = rays(poses, beams)
     ranges = expected_readings(poses, beams, lines, anchors, 0.0).ranges
     along = np.zeros(len(labels))

@@ -2,6 +2,8 @@
 walls.
 """
 
+import operator
+
 import numpy as np
 import pytest
 
@@ -63,6 +65,15 @@ def test_a_team_explores_together_without_touching():
     assert snapshot.covariances.shape == (count, 3, 3)
     assert len(snapshot.plans) == count
     assert 12 <= len(snapshot.segments) <= 40
+
+
+def test_the_policies_of_a_team_keep_what_they_know_when_their_map_is_moved():
+    team, seen = LimSlamTeam(ROBOT), {"ranges": ROBOT.max_ranges, "wheels": np.zeros(2)}
+    team.act(dict.fromkeys(team.names, seen))
+    before = list(team.policies)
+    team.mapper.frame += 1
+    team.act(dict.fromkeys(team.names, seen))
+    assert all(map(operator.is_, team.policies, before))
 
 
 def test_bad_teams_are_refused():

@@ -320,7 +320,7 @@ def test_the_policies_of_the_package_need_no_arguments(policy):
 
 def test_the_agent_of_a_policy_is_told_the_nominal_noise_of_the_environment():
     noise = NoiseConfig(sensor_noise=(0.0, np.float64(0.03)), wheel_variance=(2e-5, 2e-4))
-    told = LimSlamEnv(noise=noise).nominal_noise
+    told = LimSlamEnv(ROOM, noise=noise).nominal_noise
     where = {"env_id": "LimSlam-Env2-v0", "seeds": [3], "max_time": 4.0, "noise": noise}
     assert evaluate("frontier", **where) == evaluate(
         LimSlamAgent(ROBOT, preset("graph", told)), **where

@@ -53,8 +53,13 @@ from limslam_agent.slam.line_graph.problem import (
     expected,
     state_from_poses,
 )
-from limslam_agent.slam.line_graph.reassociation import merge, reassociate, solve_labels
-from limslam_agent.slam.line_graph.smoothed_map import smoothed_map, tally
+from limslam_agent.slam.line_graph.reassociation import (
+    merge,
+    places_along,
+    reassociate,
+    solve_labels,
+)
+from limslam_agent.slam.line_graph.smoothed_map import lasting, smoothed_map, tally
 from limslam_agent.slam.line_graph.smoother import (
     FilteredRun,
     beside,
@@ -445,6 +450,36 @@ def test_beams_that_go_through_a_wall_are_counted():
         found, solution=replace(found.solution, state=replace(found.state, lines=moved))
     )
     assert tally(wrong)[1].sum() > 100
+
+
+def test_what_did_not_last_is_no_wall():
+    found = truth(3)
+    problem, readings = found.problem, found.problem.readings
+    middle = len(found.state.flat_poses) // 2
+    stood = np.flatnonzero((readings.places >= middle) & (readings.places < middle + 40))
+    short = readings.distances.copy()
+    short[stood] = np.minimum(short[stood], 0.3)
+    labels = np.where(short < readings.distances, found.labels.max() + 1, found.labels)
+    seen = replace(problem, readings=replace(readings, distances=short))
+    someone = solve_labels(seen, found.state, labels)
+    cleared = lasting(someone)
+    assert len(cleared.state.lines) < len(someone.state.lines)
+    assert not (cleared.labels[short < readings.distances] >= 0).any()
+
+
+def test_a_wide_beam_draws_a_wall_where_it_has_read_it():
+    found = truth(3)
+    sensor = found.problem.sensor._replace(cone=math.radians(12.0))
+    along, wide = (
+        places_along(each, found.state, found.labels)
+        for each in (found.problem, replace(found.problem, sensor=sensor))
+    )
+    poses, used = found.state.flat_poses[found.problem.readings.places], found.labels >= 0
+    lines, anchors = found.state.lines[found.labels], found.state.anchors[found.labels]
+    tangents = np.column_stack((-np.sin(lines[:, 1]), np.cos(lines[:, 1])))
+    feet = ((poses[:, :2] - anchors) * tangents).sum(axis=1)
+    assert (np.abs(wide - feet) <= np.abs(along - feet) + ROBOT.radius)[used].all()
+    assert np.abs(wide - along)[used].max() > 0.1
 
 
 def test_the_map_has_the_walls_and_leaves_the_door_open():
