@@ -83,10 +83,10 @@ class TurnMeter:
         By how many steps the headings are late.
     """
 
-    def __init__(self, robot: RobotSpec, noise: NominalNoise, lag: float = 0.0) -> None:
+    def __init__(self, robot: RobotSpec, noise: NominalNoise) -> None:
         self._robot, self._noise = robot, noise
         self._yaw, self._tick, self._still, self._resolution = math.nan, 0.0, 0.0, 0.0
-        self.lag, self._shift, self._readings = lag, 0.0, 0
+        self.lag, self._shift, self._readings = 0.0, 0.0, 0
         self._totals, self._misfits = np.zeros(len(_LAGS) // 4), np.zeros(len(_LAGS))
         self._since_reading()
 
@@ -196,10 +196,6 @@ def turns_of(
     """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m.
     ``more`` (t,) are as in :meth:`TurnMeter.step`.
     """
-    more = np.broadcast_to(more, len(yaw)).tolist()
-    lag, turns = 0.0, list[Turn]()
-    for _ in range(2):  # at first to find by how much the headings are late
-        meter = TurnMeter(robot, noise, lag)
-        steps = zip(yaw.tolist(), np.asarray(wheels), more, strict=True)
-        turns, lag = [meter.step(*each) for each in steps], meter.lag
-    return turns
+    meter, more = TurnMeter(robot, noise), np.broadcast_to(more, len(yaw))
+    steps = zip(yaw.tolist(), np.asarray(wheels), more.tolist(), strict=True)
+    return [meter.step(*each) for each in steps]
