@@ -200,7 +200,6 @@ class _Table:
                 has_scan,
                 robot,
                 notes=found,
-                gaps=odometry.gaps,
                 columns=columns,
                 header=self.names,
             )
@@ -214,7 +213,7 @@ class _Table:
             has_scan,
             wheels=odometry.wheels,
             yaw=odometry.yaw,
-            missing_reports=odometry.missing,
+            gaps=tuple(odometry.gaps),
             notes=found,
             columns=columns,
             header=self.names,

@@ -25,7 +25,7 @@ _ROUNDING = 1e-6  # m; a robot that stands moves by less
 _NEAR = 3  # motions before and after one that show how fast the robot is at that time
 _LONGEST_EXCURSION = 1.0  # s; poses that are off the path for longer are in another frame
 # A gap between two events is so many times as long as usual, and longer than this, s
-_TIMES_LONGER, LEAST_GAP = 5.0, 1.0
+_TIMES_LONGER, _LEAST_GAP = 5.0, 1.0
 # In a gap, odometry has stopped counting if the robot drove before and after it, and reports less
 # than this share of the distance.
 _COUNTED = 0.2
@@ -128,7 +128,7 @@ class _Motions:
 
     def uncounted(self) -> list[int]:
         """The gaps in which the robot drove and odometry did not count."""
-        least = max(LEAST_GAP, _TIMES_LONGER * self.period)
+        least = max(_LEAST_GAP, _TIMES_LONGER * self.period)
         found = []
         for step in np.flatnonzero(self.seconds > least).tolist():
             speed = float(min(self.rates_near(step)[0], self.usual[0]))
@@ -257,7 +257,7 @@ class OdometryStream:
         """
         steps, motions = np.diff(self.times), _Motions.of(self.times, self.poses)
         period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
-        long = np.flatnonzero(steps > max(LEAST_GAP, _TIMES_LONGER * period))
+        long = np.flatnonzero(steps > max(_LEAST_GAP, _TIMES_LONGER * period))
         gaps = [step for step in long.tolist() if self._may_move_in(step, scan_times, ranges)]
         found = sorted({*gaps, *([] if motions is None else motions.jumps())})
         spans = np.array([self.times[step : step + 2] for step in found])

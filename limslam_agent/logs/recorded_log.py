@@ -19,7 +19,7 @@ from limslam_agent.logs.lost_reports import across
 from limslam_agent.logs.odometry_breaks import OdometryBreak, odometry_breaks
 from limslam_agent.readings import path_moved, settled
 from limslam_agent.safe_files import load_arrays, open_regular
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.geometry.numbers import LARGEST_COORDINATE
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.messages import one_line
@@ -96,8 +96,6 @@ class RecordedLog:
     wheel_variances
         Variances (n, 2) of the travel beyond the noise of encoders, m^2. If left out, the travel
         that is missing is taken from the speeds around.
-    missing_reports
-        How many wheel reports have no event, before each event (n,); None if travel spans all gaps.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
     yaw
@@ -142,7 +140,6 @@ class RecordedLog:
     notes: tuple[str, ...] = ()
     gaps: tuple[int, ...] = ()
     wheel_variances: FloatArray | None = None
-    missing_reports: IntArray | None = None
     columns: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
     missing: str = "auto"
@@ -190,10 +187,7 @@ class RecordedLog:
 
     def _bridge(self, wheels: FloatArray) -> None:
         """Take the travel that is missing from the speeds around."""
-        missing = np.zeros(len(self), dtype=int)
-        if self.missing_reports is not None:
-            missing = self.missing_reports
-        travel, variances, notes = across(wheels, missing, self.robot)
+        travel, variances, notes = across(wheels, self.time, self.gaps, self.robot)
         object.__setattr__(self, "wheels", travel)
         object.__setattr__(self, "wheel_variances", variances)
         object.__setattr__(self, "notes", (*self.notes, *notes))

@@ -9,11 +9,10 @@ import numpy as np
 
 from limslam_agent.logs.columns import Dimension, Role
 from limslam_agent.logs.headings import FULL_TURN, heading_beside_wheels
-from limslam_agent.logs.lost_reports import across, missing_before
-from limslam_agent.logs.odometry_breaks import LEAST_GAP
+from limslam_agent.logs.lost_reports import gaps_in
 from limslam_agent.logs.table_layout import Form, Layout
 from limslam_agent.logs.table_options import TableOptions, scale
-from limslam_env.geometry import FloatArray, IntArray, se2
+from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec
 
 _WHEELS = (Role.LEFT, Role.RIGHT)
@@ -45,10 +44,8 @@ class Odometry:
         What to ask where the travel is impossible. Empty for the travel of wheels.
     notes
         What was found and assumed, in words.
-    missing
-        How many wheel reports are missing before each row (n,); None if travel spans all gaps.
     gaps
-        The rows before which so many are missing that a break of the poses is likely.
+        The rows before which reports of the wheels are missing.
     """
 
     wheels: FloatArray | None
@@ -58,7 +55,6 @@ class Odometry:
     is_speed: bool
     question: str
     notes: tuple[str, ...]
-    missing: IntArray | None = None
     gaps: Sequence[int] = ()
 
 
@@ -109,7 +105,8 @@ class _Conversion:
         self.period, self.time = period, time
         self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
         # A speed says how far the robot drove until the row, and not in all of a gap before it.
-        self.lasted = np.where(self.spacing > 1.5 * period, period, self.spacing)
+        has_gaps = self.spacing > (1.5 * period if options.robot else np.inf)
+        self.lasted = np.where(has_gaps, period, self.spacing)
         self.units: dict[Role, str] = {}
         self.notes: list[str] = []
         self.is_speed = False
@@ -131,18 +128,13 @@ class _Conversion:
             forward, turn = self._motion()
             axle = 1.0 if robot is None else robot.axle
             wheels = np.column_stack((forward - 0.5 * axle * turn, forward + 0.5 * axle * turn))
-        missing, gaps = None, list[int]()
-        if wheels is not None and (self.is_speed or not self.options.accumulated):
-            missing = missing_before(wheels, self.time, self.period)
-            gaps = np.flatnonzero(missing * self.period > LEAST_GAP).tolist()
+        gaps = list[int]()
         if wheels is not None and robot is None:
-            nothing = np.zeros(len(wheels), dtype=int)
-            known = RobotSpec(control_period=self.period)
-            wheels, _, notes = across(wheels, nothing if missing is None else missing, known)
-            self.notes.extend(notes)
             start = np.zeros(3)
-            poses = np.vstack((start, se2.driven(wheels[1:], 1.0, start)))
+            poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
             wheels = None
+        elif wheels is not None and (self.is_speed or not self.options.accumulated):
+            gaps = gaps_in(wheels, self.time, self.period).tolist()
         question = ""
         if self.is_speed:
             question = "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
@@ -159,7 +151,6 @@ class _Conversion:
             self.is_speed,
             question,
             tuple(self.notes),
-            missing,
             gaps,
         )
 

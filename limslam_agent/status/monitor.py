@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
+from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.chance import chance_mistaken, chance_off, either, in_words
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
@@ -34,6 +35,7 @@ SPACING, TURN_LENGTH = 0.10, 0.40
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
+_MAX_TURN = 0.5  # rad: so it is if the standard deviation of the turn in a step is larger
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
 
 BLIND = 300
@@ -137,8 +139,11 @@ class StatusMonitor:
 
         x, y, turn = sight.motion.tolist()
         distance = math.hypot(x, y)
-        is_jump = distance > _MAX_JUMP
+        # Where a motion is not known, its standard deviations count, too.
+        unknown = math.sqrt(sum(unknown_of(sight.observation)))
+        is_jump = distance > _MAX_JUMP or unknown > _MAX_TURN * self._robot.axle
         if is_jump:
+            distance = max(distance, unknown)
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
         self._sights.append(sight)

@@ -91,22 +91,18 @@ class WaitingTravel:
 
     def _driven(self, observations: Sequence[Observation]) -> Sequence[Observation]:
         """The observations with the travel of wheels whose travel is not known: they go on at their
-        last speed, until the next report says what that has become in between.
+        last speed.
         """
         wheels = np.array([seen["wheels"] for seen in observations], dtype=float)
-        is_missing, last, steps = np.isnan(wheels), self._last, self._missing
-        self._last = np.where(is_missing, last, wheels)
-        self._missing = np.where(is_missing, steps + 1.0, 0.0)
-        if not (is_missing.any() or steps.any()):
-            return observations
-        change = steps * (self._last - last)
-        travel = self._last + 0.5 * change
-        variances = change**2 / 12.0 + self._unsteady * self._missing**2
+        is_missing = np.isnan(wheels)
+        self._last = np.where(is_missing, self._last, wheels)
+        self._missing = np.where(is_missing, self._missing + 1.0, 0.0)
+        variances = self._unsteady * self._missing**2
         return [
             Observation(**{**seen, "wheels": moved, "wheel_variances": more})
             if more.any()
             else seen
-            for seen, moved, more in zip(observations, travel, variances, strict=True)
+            for seen, moved, more in zip(observations, self._last, variances, strict=True)
         ]
 
 
