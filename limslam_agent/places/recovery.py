@@ -173,7 +173,8 @@ class Recovery:
         """A renewal has moved the latest steps to poses (3,): copies from before and searches mean
         nothing any more.
         """
-        self._copies, self._doubt = [], None
+        self._copies = []
+        self._doubt = None
         kept = poses[max(len(poses) - len(self.log.steps), 0) :]
         self.log.move(self.log.end - len(kept), kept)
         if self.absence is not None:
@@ -329,7 +330,7 @@ class Recovery:
         first = self.log.end - 1 - doubt.ago
         if self._doubt is None or self._doubt[0] != first:
             known = known_before(self._copies, first, 1)
-            if known is None or known.step > first:
+            if known is None:
                 return None
             self._doubt = first, PlaceSearch(known.places)
         search, rays = self._doubt[1], rays_of(self.log.since(first), self._robot, sensor)
