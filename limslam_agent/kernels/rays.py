@@ -175,12 +175,13 @@ def explain(
         return 0.0, 0.0, False
     if length < free - _BESIDE - 3.0 * math.sqrt(spread[0] + spread[1] * free**2):
         return math.log(unexplained(length, reach, free)), length, True
-    beyond = -math.log(NOTHING + (1.0 - NOTHING) * (1.0 - free / reach))
+    # Beyond known ground, a reading is no surprise at a random place either: it mostly goes on
+    # along what the beam saw before, and not each of many such readings is news.
     if ends_at < 0:
         # Beams ended in this cell, but no wall was drawn.
-        either = 0.5 * math.exp(wall_evidence(length, reach, free, _ROUGH)) + 0.5 * math.exp(beyond)
+        either = 0.5 * math.exp(wall_evidence(length, reach, free, _ROUGH)) + 0.5
         return math.log(either), 0.0, False
-    return beyond, 0.0, False
+    return 0.0, 0.0, False
 
 
 @compiled

@@ -249,7 +249,15 @@ class StatusMonitor:
                 Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0
             )
         found = self._changes.suspicion
-        if found is None or not found.is_certain:
+        return self.doubt if found is not None and found.is_certain else None
+
+    @property
+    def doubt(self) -> Loss | None:
+        """Why the robot is lost, and since when, if what is doubtful now is true; None without a
+        doubt.
+        """
+        found = self._changes.suspicion
+        if found is None:
             return None
         # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
         change, ago = found.change, self._step - found.change.step

@@ -213,6 +213,22 @@ def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode,
     assert mapper.places.unplaced is None
 
 
+def test_a_doubt_that_the_believed_place_never_decides_is_decided_by_another_place(
+    episode, monkeypatch
+):
+    monkeypatch.setattr("limslam_agent.status.sudden_changes.UNLIKELY", np.inf)  # never certain
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    levels = []
+    for number in range(len(episode.ranges)):
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
+        levels.append(mapper.statuses[0].level)
+        if mapper.places.records:
+            break
+    assert [event["event"] for event in mapper.places.records] == ["lost", "found"]
+    assert "lost" not in levels
+    assert errors(mapper.poses[None], episode.true[number][None])[0] < 0.4
+
+
 def standing(mapper, ranges, steps):
     """A robot that stands reads the same again."""
     for _ in range(steps):

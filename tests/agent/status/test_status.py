@@ -125,6 +125,15 @@ def test_an_object_before_a_wall_speaks_less_against_a_place_than_a_wall_that_is
     assert known.explained(through[None]).evidence[0] < -3.5
 
 
+@pytest.mark.parametrize("ranges", [None, ROBOT.max_ranges], ids=["a wall", "nothing seen"])
+def test_a_reading_beyond_known_ground_says_nothing(ranges):
+    values = np.zeros_like(FREE.values)
+    values[17:19, 19:21] = 4
+    found, _ = explained(np.zeros((0, 4)), ranges, grid=replace(FREE, values=values))
+    assert not found.tested.any()
+    np.testing.assert_array_equal(found.evidence, 0.0)
+
+
 @pytest.mark.parametrize("ranges", [None, ROBOT.max_ranges], ids=["longer", "nothing seen"])
 def test_a_wall_too_near_is_gone_through(ranges):
     found, rays = explained(np.array([[0.3, 1.3, 1.7, 1.3]]), ranges)
