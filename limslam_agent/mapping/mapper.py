@@ -19,6 +19,7 @@ from limslam_agent.places.other_map import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.slam.consistent.limits import RESTART_WITHIN
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
@@ -31,11 +32,6 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import check_poses, floats
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
-
-RESTART_WITHIN = 1800
-"""Number of first steps within which a mapper begins again when the SLAM finds errors of odometry
-or sensor.
-"""
 
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""

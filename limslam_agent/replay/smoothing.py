@@ -241,7 +241,8 @@ def draw_grid(
 
 
 def _line_figures(found: SmoothedRun, *, has_heading: bool) -> dict[str, Any]:
-    *errors, bias = [0.0] * 4 if found.calibration is None else found.calibration[0].tolist()
+    known = found.calibration
+    *errors, bias, scale = [0.0] * 5 if known is None else known[0].tolist()
     if has_heading:
         size, scale, drift = errors
         figures = {
@@ -256,7 +257,7 @@ def _line_figures(found: SmoothedRun, *, has_heading: bool) -> dict[str, Any]:
             "smoothed_right_wheel": 1.0 + right,
             "smoothed_axle": 1.0 + axle,
         }
-    return {**figures, "smoothed_range_bias_m": bias}
+    return {**figures, "smoothed_range_bias_m": bias, "smoothed_range_scale": 1.0 + scale}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:

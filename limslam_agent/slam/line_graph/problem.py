@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from limslam_agent.config.consistent import SelfCalibrationConfig
+from limslam_agent.config.consistent import RangeErrorConfig, SelfCalibrationConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
@@ -35,28 +35,36 @@ run.
 """
 
 
+_KNOWN = 1e-6  # standard deviation of what remains as it is known
+
+
 def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
-    """Inverse covariance (4, 4) for standard deviations of a common error of both wheels, and of a
-    bias (m).
+    """Inverse covariance (5, 5) for standard deviations of a common error of both wheels, and of a
+    bias (m). The scale of the ranges remains as it is known.
     """
     sizes = SelfCalibrationConfig(size_std=size_std, uneven_std=0.03, axle_std=0.03)
-    return np.asarray(np.linalg.inv(block_diag(sizes.covariance, [bias_std**2])), dtype=float)
+    return _inverse(sizes.covariance, bias_std)
 
 
-CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
-"""Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle,
-bias.
+def _inverse(sizes: FloatArray, bias_std: float) -> FloatArray:
+    return np.asarray(
+        np.linalg.inv(block_diag(sizes, np.diag([bias_std**2, _KNOWN**2]))), dtype=float
+    )
+
+
+CALIBRATION_PRIOR = _calibration_prior(0.01, 0.02)
+"""Inverse covariance (5, 5) of the prior of a robot's calibration: left wheel, right wheel, axle,
+bias, scale of the ranges.
 """
 
-HEADING_PRIOR = np.asarray(
-    np.linalg.inv(block_diag(SelfCalibrationConfig().heading_covariance, [1e-6**2])), dtype=float
-)
-"""The same for a robot with a heading sensor: size of the wheels, scale, drift, bias.
+HEADING_PRIOR = _inverse(SelfCalibrationConfig().heading_covariance, _KNOWN)
+"""The same for a robot with a heading sensor: size of the wheels, scale, drift, bias, scale of the
+ranges.
 
 The bias remains as it is known.
 """
 
-RELATIVE_PRIOR = _calibration_prior(1e-6, 1e-6)
+RELATIVE_PRIOR = _calibration_prior(_KNOWN, _KNOWN)
 """The same if wheels and ranges are taken to have no common error.
 
 The deviations are so small that no readings make the common errors count in Wald's test.
@@ -169,15 +177,31 @@ class Problem:
             self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose)
         )
 
-    def true(self, readings: Readings, calibration: FloatArray) -> FloatArray:
-        """The distances (k,), m, at which readings of walls were taken, by the calibration (n,
-        4).
+    @cached_property
+    def prior_calibration(self) -> FloatArray:
+        """The likeliest calibration (5,) before the drive. That of a scale that was found is 0 in
+        all.
         """
-        biases = calibration[readings.places // self.steps, 3]
-        return np.asarray(readings.distances - biases)
+        return np.array([0.0, 0.0, 0.0, 0.0, -self.sensor.scale])
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """The inverse covariance of a robot's calibration, also of a scale that was found."""
+        assert self.prior is not None  # noqa: S101 (only a calibration has one)
+        found = self.prior.copy()
+        if self.sensor.scale_std:
+            found[4, 4] = RangeErrorConfig().scale_std ** -2
+        return found
+
+    def true(self, ranges: FloatArray, places: IntArray, calibration: FloatArray) -> FloatArray:
+        """The distances (k,), m, at which ranges of walls were measured from poses with numbers
+        (k,), by the calibration (n, 5).
+        """
+        _, _, _, bias, scale = calibration[places // self.steps].T
+        return np.asarray((ranges - bias) / (1.0 + scale))
 
     def axle(self, calibration: FloatArray) -> float:
-        """The distance between the wheels (m) of a robot with a calibration (4,)."""
+        """The distance between the wheels (m) of a robot with a calibration (5,)."""
         return self.robot.axle * (1.0 if self.turns is not None else 1.0 + float(calibration[2]))
 
     @cached_property
@@ -195,7 +219,7 @@ class Problem:
         return found
 
     def motions(self, calibration: FloatArray) -> FloatArray:
-        """The measured motions (n, t - 1, 3), m, by the calibration (n, 4) of the wheels."""
+        """The measured motions (n, t - 1, 3), m, by the calibration (n, 5) of the wheels."""
         if self.turns is None:
             sizes = np.ones((len(self.wheels), 1, 3))
             sizes[:, 0, :2] += calibration[:, :2]
@@ -228,9 +252,9 @@ class State:
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2),
         m.
     calibration
-        Calibration (n, 4): relative excess of left wheel, right wheel and axle, or with a heading
-        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges beside that
-        of the sensor, m.
+        Calibration (n, 5): relative excess of left wheel, right wheel and axle, or with a heading
+        sensor the numbers of ``HeadingCalibration``; and the bias, m, and the scale of all ranges
+        beside those of the sensor.
     """
 
     motions: FloatArray
@@ -427,5 +451,10 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     found = expected_readings(
         poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
     )
-    biases = state.calibration[problem.readings.places // problem.steps, 3]
-    return found._replace(ranges=found.ranges + biases)
+    *_, bias, scale = state.calibration[problem.readings.places // problem.steps].T
+    longer = 1.0 + scale
+    return found._replace(
+        ranges=found.ranges * longer + bias,
+        by_pose=found.by_pose * longer[:, None],
+        by_line=found.by_line * longer[:, None],
+    )

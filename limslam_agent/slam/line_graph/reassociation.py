@@ -157,7 +157,10 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
     origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
-    ends = origins + problem.true(readings, state.calibration)[:, None] * ahead
+    ends = (
+        origins
+        + problem.true(readings.distances, readings.places, state.calibration)[:, None] * ahead
+    )
     for number in np.unique(labels[labels >= known]).tolist():
         points = ends[labels == number]
         lines[number - known, 1], anchors[number - known] = (
@@ -222,7 +225,7 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
         state,
         readings.places,
         problem.beams,
-        problem.true(readings, state.calibration),
+        problem.true(readings.distances, readings.places, state.calibration),
         ends,
         _BEYOND,
         problem.sensor.cone,

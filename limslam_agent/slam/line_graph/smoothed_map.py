@@ -41,7 +41,11 @@ def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
-    free = np.where(problem.is_hit, problem.true(looks, state.calibration), looks.distances)
+    free = np.where(
+        problem.is_hit,
+        problem.true(looks.distances, looks.places, state.calibration),
+        looks.distances,
+    )
     misses, through = count_crossings(
         state, looks.places, problem.look_beams, free, low, hits, margin
     )

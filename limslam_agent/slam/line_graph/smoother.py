@@ -34,7 +34,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, turned, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
-# Chi-square of the estimated errors, of which each robot has four, from which on they are taken to
+# Chi-square of the estimated errors, of which each robot has five, from which on they are taken to
 # be real. Felt by the rows "drive 4 cm" and "sharp" of the scoreboard, whose robots have no such
 # errors.
 _CALIBRATION_GATE = 40.0
@@ -99,7 +99,7 @@ class FilteredRun:
         if sensor is None:
             return self
         ranges = sensor.corrected(self.ranges, self.robot)
-        return replace(self, ranges=ranges, sensor=sensor._replace(bias=0.0))
+        return replace(self, ranges=ranges, sensor=sensor._replace(bias=0.0, scale=0.0))
 
     @property
     def unknown(self) -> FloatArray:
@@ -162,9 +162,10 @@ class SmoothedRun:
     segments: FloatArray
     # The readings of each robot that lie on each landmark, by its place in ``landmarks``
     associations: list[AssociationRecord]
-    # Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified
-    # values, or with a heading sensor the numbers of ``HeadingCalibration``; and the bias of all
-    # ranges, m. None where the robots are taken to be as specified, and no bias is known.
+    # Calibration (n, 5): relative excess of left wheel, right wheel and axle over their specified
+    # values, or with a heading sensor the numbers of ``HeadingCalibration``; and the bias, m,
+    # and the scale of all ranges. None where the robots are taken to be as specified, and neither
+    # is known.
     calibration: FloatArray | None
     ranges: FloatArray  # the readings (t, n, n_beams), m, corrected for all that is known of them
     contradictions: float  # share of all looks that passed through a wall of the solution
@@ -306,6 +307,8 @@ def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray
     and after it.
     """
     sized = _calibrated(found.problem)
+    if sized.sensor.scale_std:  # the size of the whole map is unknown, too
+        return reassociate(sized, found.state, labels)
     if not _has_errors(sized, solve(sized, found.state, found.labels)):
         return found
     again = lasting(reassociate(sized, state_from_poses(sized, run.poses), labels))
@@ -325,11 +328,11 @@ def _calibrated(problem: Problem) -> Problem:
 
     What a wide beam reads, and what a sensor reads whose noise grows with the range, is known to
     some millimetres only. That looks like a common error of all sizes with a bias, so the robots of
-    such sensors have relative errors alone, unless a bias is known: a wrong one has to be
-    corrected.
+    such sensors have relative errors alone, unless a bias or a scale is known: a wrong one has to
+    be corrected.
     """
     sensor = problem.sensor
-    is_rough = (sensor.cone > 0.0 or sensor.growth > 0.0) and not sensor.bias
+    is_rough = (sensor.cone > 0.0 or sensor.growth > 0.0) and not (sensor.bias or sensor.scale_std)
     return replace(problem, prior=RELATIVE_PRIOR if is_rough else CALIBRATION_PRIOR)
 
 
@@ -395,8 +398,10 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     landmarks, segments = smoothed_map(found)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     sensor = problem.sensor
-    calibration = np.add(found.state.calibration, (0.0, 0.0, 0.0, sensor.bias))
-    sensors = [sensor._replace(bias=bias) for bias in calibration[:, 3].tolist()]
+    calibration = found.state.calibration.copy()
+    calibration[:, 3] = sensor.reported(calibration[:, 3])
+    calibration[:, 4] += sensor.scale * (1.0 + calibration[:, 4])
+    sensors = [sensor._replace(bias=bias, scale=scale) for *_, bias, scale in calibration.tolist()]
     ranges = [own.corrected(run.ranges[:, number], run.robot) for number, own in enumerate(sensors)]
     return SmoothedRun(
         ranges=np.stack(ranges, axis=1),
@@ -406,7 +411,9 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
         landmarks=landmarks,
         segments=segments,
         associations=_associations(found, landmarks, run.first_step),
-        calibration=calibration if problem.prior is not None or sensor.bias else None,
+        calibration=calibration
+        if problem.prior is not None or sensor.bias or sensor.scale
+        else None,
         contradictions=contradictions(found),
         robot=problem.robot,
     )

@@ -112,6 +112,29 @@ def test_derivatives_of_readings_are_differences(width):
         assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
+def test_derivatives_by_bias_and_scale_are_differences():
+    problem, poses = noisy_run(4)
+    state, labels = state_from_motions(problem), true_labels(problem, poses)
+    state = replace(
+        solve_labels(problem, state, labels).state, calibration=np.array([[0, 0, 0, 0.02, 0.03]])
+    )
+    found, places = expected(problem, state, labels), problem.readings.places
+    lengths = problem.true(found.ranges, places, state.calibration)
+    for column, wanted in ((3, np.ones(len(labels))), (4, lengths)):
+        change = 1e-6 * np.eye(5)[[column]]
+        ends = [
+            expected(problem, replace(state, calibration=state.calibration + each), labels).ranges
+            for each in (change, -change)
+        ]
+        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(wanted, abs=1e-6)
+    change = 1e-6 * np.eye(3)[0]
+    ends = [
+        expected(problem, replace(state, poses=state.poses + each), labels).ranges
+        for each in (change, -change)
+    ]
+    assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(found.by_pose[:, 0], abs=1e-6)
+
+
 def test_covariances_are_those_of_a_dense_solution():
     problem, poses = noisy_run(4)
     first = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
@@ -234,6 +257,32 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
     assert position_error(found.state, poses) < 0.02
 
 
+@pytest.mark.parametrize(("bias", "scale"), [(0.09, 0.0), (0.02, 0.024)])
+def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
+    """A scale of 3 %, of which the filter has found its share of four fifths."""
+    problem, poses = noisy_run(6, places=[*ROUND, *ROUND])
+    run, sensor = (
+        run_of(problem, poses, None),
+        RangeSensor(0.02, bias=bias, scale=scale, scale_std=scale),
+    )
+    longer = np.minimum(bias + run.ranges * (1.0 + 1.25 * scale), ROBOT.max_ranges)
+    seen = longer < ROBOT.too_far
+    told = replace(run, ranges=longer, sensor=sensor)
+    found = smooth_run(told, CONFIG)
+    assert found.contradictions < 0.01
+    assert found.ranges[seen] == pytest.approx(
+        run.ranges[seen] * (1.0 + 1.25 * scale) / (1.0 + scale), abs=0.02
+    )
+    if scale:
+        left, right, _, _, excess = found.calibration[0]
+        assert (left + right) / 2.0 + excess == pytest.approx(1.25 * scale, abs=0.005)
+        far = np.hypot(*poses[0, :, :2].T - poses[0, 0, :2, None]).argmax()
+        away = poses[0, far, :2] - poses[0, 0, :2]
+        along = away / np.hypot(*away)
+        std = np.sqrt(along @ found.covariances[far, 0, :2, :2] @ along)
+        assert std > 0.007 * np.hypot(*away)
+
+
 def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
     problem, poses = noisy_run(6, 0.02)
     run, tick = run_of(problem, poses, None), 0.01
@@ -272,7 +321,7 @@ def test_rough_sensors_have_relative_errors_only():
     problem, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
     found = settle(run_of(problem, poses, RangeSensor(0.02, growth=1e-3)), CONFIG)
     assert found.problem.prior is RELATIVE_PRIOR
-    assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0], abs=0.01)
+    assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0, 0.0], abs=0.01)
 
 
 def agreeing(found, wanted):
