@@ -103,8 +103,8 @@ def trusted_path(
     blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
     keys = found[0][0].keys
     path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
-    covariances = path_signals(blind, *known).covariances
-    found.append((path, replace(path_signals(path, *known), covariances=covariances)))
+    covariance = path_signals(blind, *known).covariance
+    found.append((path, replace(path_signals(path, *known), covariance=covariance)))
     return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 
 

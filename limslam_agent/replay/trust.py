@@ -17,14 +17,14 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import visit_counts
-from limslam_agent.slam.graph.posterior import position_covariances
+from limslam_agent.slam.graph.posterior import position_covariance
 from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_agent.status.chance import (
+    FAR,
     LIMIT,
     chance_mistaken,
-    chance_off,
+    chance_path_off,
     either,
-    in_words,
     rate_evidence,
 )
 from limslam_agent.status.status import Status, judged
@@ -46,8 +46,8 @@ class PathSignals:
     # contradict
     confirmed: float
     contradicted: float
-    # Covariances (k, 2, 2) of positions along the path after rigid alignment, m^2
-    covariances: FloatArray
+    # Joint covariance (2 k, 2 k) of positions along the path after rigid alignment, m^2
+    covariance: FloatArray
     # Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None
     # if it has not been looked for.
     loose: tuple[float, float] | None = None
@@ -70,14 +70,12 @@ class PathSignals:
     @property
     def position_std(self) -> float:
         """Expected root mean square error of the positions after rigid alignment, m."""
-        return math.sqrt(max(float(np.trace(self.covariances.mean(axis=0))), 0.0))
+        return math.sqrt(max(2.0 * float(np.diag(self.covariance).mean()), 0.0))
 
     @property
     def status(self) -> Status:
-        """By the chance that a pose of the path is off, and whether its parts are tied together."""
-        covariances = np.zeros((len(self.covariances), 3, 3))
-        covariances[:, :2, :2] = self.covariances
-        far = float(chance_off(covariances).mean())
+        """By the chance that the path is off, and whether its parts are tied together."""
+        far = chance_path_off(self.covariance)
         mistaken = chance_mistaken(self.evidence)
         chance, reasons = either(far, mistaken), []
         if self.untied:
@@ -100,8 +98,10 @@ class PathSignals:
             chance = max(chance, 0.5)
         if far >= LIMIT or not reasons:
             where = "" if self.loose is None else " from {:.0f} to {:.0f} s".format(*self.loose)
-            words = in_words(far, covariances.mean(axis=0), "a pose of the path")
-            reasons.append(f"{words}, as no recognised place holds the path{where}")
+            reasons.append(
+                f"the chance that the path is more than {FAR:g} m off is {far:.0%} (standard "
+                f"deviation {self.position_std:.2f} m), as no recognised place holds it{where}"
+            )
         return judged(chance, ", ".join(reasons))
 
     @property
@@ -155,7 +155,7 @@ def path_signals(
         points=len(keys.point_key),
         confirmed=visits.shares[0],
         contradicted=visits.shares[1],
-        covariances=position_covariances(keys, trajectory, found.relations, config, sensor[1]),
+        covariance=position_covariance(keys, trajectory, found.relations, config, sensor[1]),
         loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
         doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
         untied=tuple(times[_untied(keys.breaks[keys.breaks != seam], found.relations[0])].tolist()),

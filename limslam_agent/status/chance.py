@@ -42,6 +42,21 @@ def chance_off(covariances: FloatArray) -> FloatArray:
     return np.asarray(1.0 - (1.0 - far) * (1.0 - np.vectorize(math.erfc, otypes=[float])(turned)))
 
 
+def chance_path_off(covariance: FloatArray) -> float:
+    """The chance that a path is farther off than ``FAR``, as a root mean square over positions with
+    a joint covariance (2 k, 2 k), m^2.
+
+    The mean square is taken to have a chi-square distribution with its mean and variance (F.
+    Satterthwaite, "An approximate distribution of estimates of variance components", 1946).
+    """
+    from scipy.special import gammaincc
+
+    mean, size = float(covariance.trace()), max(float((covariance**2).sum()), _LEAST**2)
+    freedoms = mean**2 / size
+    threshold = 0.5 * len(covariance) * FAR**2
+    return float(gammaincc(0.5 * freedoms, 0.5 * threshold * mean / size))
+
+
 def chance_mistaken(evidence: float) -> float:
     """The chance of a wrong place by the evidence for it: the logarithm of the ratio of its
     likelihood to that of the right one.

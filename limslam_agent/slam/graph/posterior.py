@@ -1,6 +1,7 @@
 """How exactly a smoothed path is known, by the posterior covariance of its graph.
 
-A stretch that no loop holds is known as exactly as odometry and its links say. How good the
+The equations are those that gave the path. A stretch that no loop and no other visit holds is known
+as exactly as odometry and its links say. How good the
 odometry is follows from the path itself: its variances are estimated by expectation maximisation.
 """
 
@@ -11,7 +12,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.graph.least_squares import Relations, odometry_factor
-from limslam_agent.slam.graph.smoothing import cautious_equations
+from limslam_agent.slam.graph.smoothing import bundle_equations
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray
 
@@ -22,14 +23,14 @@ _WINDOW, _MOST = 14.0, 60
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
-def position_covariances(
+def position_covariance(
     keys: KeyPoses,
     trajectory: Trajectory,
     relations: Relations,
     config: GraphConfig,
     range_std: float,
 ) -> FloatArray:
-    """Covariances (k, 2, 2) of positions along a path after rigid alignment, m^2.
+    """The joint covariance (2 k, 2 k) of positions along a path after rigid alignment, m^2.
 
     Parameters
     ----------
@@ -41,21 +42,18 @@ def position_covariances(
         Specified standard deviation of a range, m.
     """
     if len(keys) < 2:
-        return np.zeros((1, 2, 2))
-    equations = cautious_equations(keys, trajectory, config, range_std, relations)
+        return np.zeros((2, 2))
+    equations = bundle_equations(keys, trajectory, relations, config, range_std)
     for _ in range(_ITERATIONS):
         ratios = odometry_ratios(keys, trajectory, equations)
         keys = replace(keys, step_variances=keys.step_variances * ratios)
-        equations = cautious_equations(keys, trajectory, config, range_std, relations)
+        equations = bundle_equations(keys, trajectory, relations, config, range_std)
     numbers = np.unique(np.searchsorted(keys.key_driven, _evenly(keys.key_driven[-1])))
     columns = pose_columns(numbers)[:, :2].ravel()
     rows = np.zeros((equations.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
     covariance = equations.solved(equations.factorise(), rows)[columns]
-    left = aligned_covariance(covariance, trajectory.poses[numbers, :2])
-    places = np.arange(len(numbers))
-    blocks: FloatArray = left.reshape(len(numbers), 2, len(numbers), 2)[places, :, places]
-    return blocks
+    return aligned_covariance(covariance, trajectory.poses[numbers, :2])
 
 
 def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatArray:

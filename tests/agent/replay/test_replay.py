@@ -262,12 +262,12 @@ BRIEF = GraphConfig()
 
 
 def within(std):
-    """Covariances of positions with a standard deviation, m."""
-    return np.tile(0.5 * std**2 * np.eye(2), (3, 1, 1))
+    """Joint covariance of three positions with a standard deviation, m."""
+    return 0.5 * std**2 * np.eye(6)
 
 
 SURE = PathSignals(
-    driven=100.0, points=3000, confirmed=0.5, contradicted=0.02, covariances=within(0.25)
+    driven=100.0, points=3000, confirmed=0.5, contradicted=0.02, covariance=within(0.25)
 )
 
 
@@ -294,10 +294,10 @@ def test_the_longest_stretch_without_a_loop_is_found():
             "visits contradict what was seen more often than they confirm it after 12, 40 s",
         ),
         (
-            replace(SURE, covariances=within(0.4), loose=(3.0, 61.0)),
+            replace(SURE, covariance=within(0.4), loose=(3.0, 61.0)),
             (
-                "the chance that a pose of the path is more than 0.5 m off is 21 % (standard "
-                "deviation 0.40 m), as no recognised place holds the path from 3 to 61 s"
+                "the chance that the path is more than 0.5 m off is 15% (standard deviation "
+                "0.40 m), as no recognised place holds it from 3 to 61 s"
             ),
         ),
     ],
@@ -311,7 +311,7 @@ def test_a_log_whose_readings_say_less_than_odometry_follows_odometry(monkeypatc
     few = data.hit & (np.random.default_rng(0).random(data.hit.shape) < 0.003)
 
     def stated(found, *_):
-        return replace(SURE, covariances=within(5.0 if found.kind == "odometry" else 100.0))
+        return replace(SURE, covariance=within(5.0 if found.kind == "odometry" else 100.0))
 
     monkeypatch.setattr("limslam_agent.replay.smoothing.path_signals", stated)
     found, judged = trusted_path(replace(data, hit=few), truth[0], BRIEF)

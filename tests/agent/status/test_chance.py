@@ -11,6 +11,7 @@ from limslam_agent.status.chance import (
     TURNED,
     chance_mistaken,
     chance_off,
+    chance_path_off,
     either,
     in_words,
     rate_evidence,
@@ -35,6 +36,18 @@ def test_each_of_many_poses_has_its_chance():
     none, some, all_but = chance_off(covariances)
     assert (none, some) == (0.0, pytest.approx(math.exp(-0.5 * (FAR / 0.2) ** 2)))
     assert all_but > 0.99
+
+
+@pytest.mark.parametrize(("poses", "std"), [(1, 0.4), (12, 0.6), (40, 0.3)])
+def test_a_path_is_off_by_the_root_mean_square_of_its_errors(poses, std):
+    generator = np.random.default_rng(0)
+    # All positions share most of their errors, as those of a path do.
+    shared = np.kron(0.7 * np.ones((poses, 1)), np.eye(2))
+    root = std * np.hstack((shared, 0.3 * np.eye(2 * poses)))
+    errors = generator.standard_normal((50_000, root.shape[1])) @ root.T
+    share = np.mean((errors**2).sum(axis=1) > poses * FAR**2)
+    assert chance_path_off(root @ root.T) == pytest.approx(share, abs=0.02)
+    assert chance_path_off(np.zeros((4, 4))) == 0.0
 
 
 def test_a_doubt_of_the_rays_is_at_the_limit_and_a_decision_is_not():
