@@ -218,12 +218,17 @@ class Problem:
         found[..., 0, 1:], found[..., 1, 1:] = -lever, lever
         return found
 
+    def sizes(self, calibration: FloatArray) -> FloatArray:
+        """By what motions by the calibration (n, 5) are larger than the reported ones (n, 1, 3)."""
+        sizes = np.ones((len(self.wheels), 1, 3))
+        if self.turns is None:
+            sizes[:, 0, :2] += calibration[:, :2]
+        return sizes
+
     def motions(self, calibration: FloatArray) -> FloatArray:
         """The measured motions (n, t - 1, 3), m, by the calibration (n, 5) of the wheels."""
         if self.turns is None:
-            sizes = np.ones((len(self.wheels), 1, 3))
-            sizes[:, 0, :2] += calibration[:, :2]
-            found = self.wheels * sizes
+            found = self.wheels * self.sizes(calibration)
         else:
             found = self.wheels + np.einsum("ntij,nj->nti", self.by_sizes, calibration[:, :3])
         return found if self.jumps is None else found + self.jumps
