@@ -112,20 +112,25 @@ class AssumedSensor:
             return None
         return self.sensor._replace(delay=min(delay + further, LONGEST))
 
-    def scaled(self, size: float, std: float, prior: float) -> RangeSensor | None:
+    def scaled(
+        self, errors: RangeErrors | None, size: float, std: float, prior: float
+    ) -> RangeSensor | None:
         """The sensor with another scale, if the wheels seem to be larger by ``size``, a share.
 
         Larger wheels and longer ranges show the same, a larger building: the readings tell the sum
         of both alone, here with the standard deviation ``std``. So the sum is divided as the
         variances of both are before the drive; ``prior`` is the standard deviation of the wheels'
-        size. What each of them may have more, and the other one less, remains unknown.
+        size. What each of them may have more, and the other one less, remains unknown. A bias has
+        to be found before, since it makes the wheels seem larger, too.
         """
         sensor, own = self.sensor, self._config.scale_std
         both = math.hypot(own, prior)
-        change = (own / both) ** 2 * (size + sensor.scale) - sensor.scale if own else 0.0
-        if abs(change) < LEAST_SCALE or abs(size) < _SURE * std:
+        if errors is None or not own or abs(size) < _SURE * std:
             return None
-        return sensor._replace(scale=sensor.scale + change, scale_std=own * prior / both)
+        scale = (own / both) ** 2 * (size + sensor.scale)
+        if abs(scale - sensor.scale) < LEAST_SCALE or errors.length_evidence[0] > 0.0:
+            return None
+        return sensor._replace(scale=scale, scale_std=own * prior / both)
 
     def _turned(self, errors: RangeErrors) -> RangeSensor | None:
         """The sensor with other directions of its beams, if the readings require that.

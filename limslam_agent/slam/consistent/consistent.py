@@ -391,7 +391,11 @@ class ConsistentEstimator(Estimator):
         """Take the sensor's errors as estimated, if the readings say that they are not as
         assumed.
         """
-        found = self._sensor.correction(self.filter.range_errors) or self._scaled()
+        found = self._sensor.correction(self.filter.range_errors)
+        if found is None:
+            found = self._scaled()
+        elif found.places != self.sensor.places:  # what was taken for a scale may have been this
+            found = found._replace(scale=0.0, scale_std=0.0)
         if found is not None:
             self.assume(found)
 
@@ -406,7 +410,10 @@ class ConsistentEstimator(Estimator):
         wheels = np.array([1.0, 0.0, 0.0] if self._with_heading else [0.5, 0.5, 0.0])
         prior = cast(ConsistentConfig, self.config.estimator).self_calibration.size_std
         return self._sensor.scaled(
-            float(wheels @ found[0]), float(wheels @ found[1] @ wheels) ** 0.5, prior
+            self.filter.range_errors,
+            float(wheels @ found[0]),
+            float(wheels @ found[1] @ wheels) ** 0.5,
+            prior,
         )
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:

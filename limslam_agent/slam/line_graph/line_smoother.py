@@ -174,13 +174,21 @@ def chi_square(problem: Problem, state: State, readings: Expected, weights: Floa
     """Sum of the squared residuals of wheels, readings and calibration, each divided by its
     variance.
     """
-    driven = problem.whitened(state.motions - problem.motions(state.calibration))
+    driven = problem.whitened(motion_errors(problem, state))
     read = range_residuals(problem, readings)
     total = float(np.sum(driven**2) + np.sum(weights * read**2))
     if problem.prior is None:
         return total
     off = state.calibration - problem.prior_calibration
     return total + float(np.einsum("ni,ij,nj->", off, problem.information, off))
+
+
+def motion_errors(problem: Problem, state: State) -> FloatArray:
+    """Errors of the motions (n, t - 1, 3), m, as they were reported: the noise is that of the
+    reports. If it grew with the wheels, it would be least in the smallest map.
+    """
+    sizes = problem.sizes(state.calibration)
+    return np.asarray((state.motions - problem.motions(state.calibration)) / sizes)
 
 
 def range_residuals(problem: Problem, readings: Expected) -> FloatArray:
@@ -277,13 +285,15 @@ class _Graph:
     def _add_motions(self, state: State) -> None:
         """Add the motions, and the prior of the calibrations, if these are estimated."""
         problem, unknowns = self._problem, self._unknowns
-        errors, jacobian = state.motions - problem.motions(state.calibration), self._by_poses(state)
+        errors, jacobian = motion_errors(problem, state), self._by_poses(state)
         poses = pose_columns(np.arange(unknowns.robots * unknowns.steps)).reshape(state.poses.shape)
         columns: IntArray = np.concatenate((poses[:, :-1], poses[:, 1:]), axis=-1)
         if problem.prior is not None:
             by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
             by_calibration[..., :3] = -problem.by_sizes
             by_calibration[..., 2] += self._by_axle(state)
+            if problem.turns is None:
+                by_calibration[..., [0, 1], [0, 1]] -= errors[..., :2]
             jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
             shared = np.arange(unknowns.first_calibration, unknowns.first_line)
             own: IntArray = shared.reshape(unknowns.robots, unknowns.calibrated)
@@ -294,6 +304,7 @@ class _Graph:
             identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
             off = state.calibration - problem.prior_calibration
             self.equations.add(own, identity, off, np.tile(problem.information, (count, 1, 1)))
+        jacobian = jacobian / problem.sizes(state.calibration)[..., None]
         white, width = problem.whitened(jacobian), jacobian.shape[-1]
         self.equations.add(
             columns.reshape(-1, width),

@@ -5,7 +5,7 @@ The variables are the pose of every step, every line, and the calibration of whe
 wheels drive exact arcs, so poses follow from motions.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -38,33 +38,29 @@ run.
 _KNOWN = 1e-6  # standard deviation of what remains as it is known
 
 
-def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
-    """Inverse covariance (5, 5) for standard deviations of a common error of both wheels, and of a
-    bias (m). The scale of the ranges remains as it is known.
+def _prior(sizes: FloatArray, bias_std: float) -> FloatArray:
+    """Inverse covariance (5, 5) by the covariance of the sizes (3, 3), and the standard deviation
+    of a bias, m. The scale of the ranges remains as it is known.
     """
-    sizes = SelfCalibrationConfig(size_std=size_std, uneven_std=0.03, axle_std=0.03)
-    return _inverse(sizes.covariance, bias_std)
+    of_ranges = np.diag([bias_std**2, _KNOWN**2])
+    return np.asarray(np.linalg.inv(block_diag(sizes, of_ranges)), dtype=float)
 
 
-def _inverse(sizes: FloatArray, bias_std: float) -> FloatArray:
-    return np.asarray(
-        np.linalg.inv(block_diag(sizes, np.diag([bias_std**2, _KNOWN**2]))), dtype=float
-    )
+_SIZES = SelfCalibrationConfig(uneven_std=0.03)
 
-
-CALIBRATION_PRIOR = _calibration_prior(0.01, 0.02)
+CALIBRATION_PRIOR = _prior(_SIZES.covariance, 0.02)
 """Inverse covariance (5, 5) of the prior of a robot's calibration: left wheel, right wheel, axle,
 bias, scale of the ranges.
 """
 
-HEADING_PRIOR = _inverse(SelfCalibrationConfig().heading_covariance, _KNOWN)
+HEADING_PRIOR = _prior(_SIZES.heading_covariance, _KNOWN)
 """The same for a robot with a heading sensor: size of the wheels, scale, drift, bias, scale of the
 ranges.
 
 The bias remains as it is known.
 """
 
-RELATIVE_PRIOR = _calibration_prior(_KNOWN, _KNOWN)
+RELATIVE_PRIOR = _prior(replace(_SIZES, size_std=_KNOWN).covariance, _KNOWN)
 """The same if wheels and ranges are taken to have no common error.
 
 The deviations are so small that no readings make the common errors count in Wald's test.
@@ -218,12 +214,17 @@ class Problem:
         found[..., 0, 1:], found[..., 1, 1:] = -lever, lever
         return found
 
+    def sizes(self, calibration: FloatArray) -> FloatArray:
+        """By what motions by the calibration (n, 5) are larger than the reported ones (n, 1, 3)."""
+        sizes = np.ones((len(self.wheels), 1, 3))
+        if self.turns is None:
+            sizes[:, 0, :2] += calibration[:, :2]
+        return sizes
+
     def motions(self, calibration: FloatArray) -> FloatArray:
         """The measured motions (n, t - 1, 3), m, by the calibration (n, 5) of the wheels."""
         if self.turns is None:
-            sizes = np.ones((len(self.wheels), 1, 3))
-            sizes[:, 0, :2] += calibration[:, :2]
-            found = self.wheels * sizes
+            found = self.wheels * self.sizes(calibration)
         else:
             found = self.wheels + np.einsum("ntij,nj->nti", self.by_sizes, calibration[:, :3])
         return found if self.jumps is None else found + self.jumps

@@ -398,9 +398,7 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     landmarks, segments = smoothed_map(found)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     sensor = problem.sensor
-    calibration = found.state.calibration.copy()
-    calibration[:, 3] = sensor.reported(calibration[:, 3])
-    calibration[:, 4] += sensor.scale * (1.0 + calibration[:, 4])
+    calibration = np.add(found.state.calibration, (0.0, 0.0, 0.0, sensor.bias, sensor.scale))
     sensors = [sensor._replace(bias=bias, scale=scale) for *_, bias, scale in calibration.tolist()]
     ranges = [own.corrected(run.ranges[:, number], run.robot) for number, own in enumerate(sensors)]
     return SmoothedRun(

@@ -275,7 +275,8 @@ def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
     )
     if scale:
         left, right, _, _, excess = found.calibration[0]
-        assert (left + right) / 2.0 + excess == pytest.approx(1.25 * scale, abs=0.005)
+        assert excess == pytest.approx(scale, abs=0.003)
+        assert (left + right) / 2.0 == pytest.approx(0.25 * scale, abs=0.003)
         far = np.hypot(*poses[0, :, :2].T - poses[0, 0, :2, None]).argmax()
         away = poses[0, far, :2] - poses[0, 0, :2]
         along = away / np.hypot(*away)
