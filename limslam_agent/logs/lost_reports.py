@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from limslam_agent.slam.core.motion import unsteadiness
+from limslam_agent.readings import unsteadiness
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
