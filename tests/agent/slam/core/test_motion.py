@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 
 from limslam_agent import LineSlam, preset
 from limslam_agent.config.shared import OdometryConfig
+from limslam_agent.readings import unsteadiness
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import DELAY
 from limslam_agent.slam.core.contact import LONGEST, Contacts, slip_covariance, slip_covariances
-from limslam_agent.readings import unsteadiness
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_by, ticks_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead, behind, held_back
 from limslam_agent.slam.core.motion import (
