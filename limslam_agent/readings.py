@@ -33,6 +33,9 @@ MEANINGS = "auto", "nothing", "not-measured"
 nothing was measured.
 """
 
+UNSTEADY = 0.2
+"""A robot's speed changes by as much as its largest one in the inverse of this time, 1/s."""
+
 TURN_LENGTH = 0.4
 """A turn by one radian counts as this motion, m: it moves the end of a beam by about as much."""
 
@@ -247,3 +250,8 @@ def _repeated(
     angles = ", ".join(f"{angle:.4g}" for angle in np.degrees(robot.beam_angles[is_repeating]))
     which = "" if is_repeating.all() else f" of the beams at {angles} deg"
     return repeated, f"each reading{which} stands in {rows:.2g} rows on average: it is used once"
+
+
+def unsteadiness(robot: RobotSpec) -> float:
+    """Mean square of how much a wheel's travel changes from one step to the next, m^2."""
+    return UNSTEADY * robot.max_wheel_speed**2 * robot.control_period**3

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from limslam_agent.slam.core.motion import unsteadiness
+from limslam_agent.readings import unsteadiness
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
@@ -39,11 +39,10 @@ def across(
     Reports of ``wheels`` (t, 2), at times (t,), s, that are missing are NaN, or missing with their
     rows before ``gaps``.
     """
-    missing = np.zeros(len(wheels), dtype=int)
-    rows = np.array(gaps, dtype=int)
-    missing[rows] = np.rint((time[rows] - time[rows - 1]) / robot.control_period) - 1
+    missing, at = np.zeros(len(wheels), dtype=int), np.array(gaps, dtype=int)
+    missing[at] = np.rint((time[at] - time[at - 1]) / robot.control_period) - 1
     wheels = np.where(_are_impossible(wheels)[:, None], np.nan, wheels)
-    is_known = np.isfinite(wheels).all(axis=1)
+    is_known = np.asarray(np.isfinite(wheels).all(axis=1))
     own, counts = np.where(is_known[:, None], wheels, 0.0), missing + ~is_known
     travel, variances, lost = own.copy(), np.zeros(own.shape), list[int]()
     for before, after in pairwise([0, *np.flatnonzero(is_known[1:]) + 1]):

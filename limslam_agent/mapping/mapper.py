@@ -23,7 +23,7 @@ from limslam_agent.slam.consistent.limits import RESTART_WITHIN
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import check_travel, longest_travel, unsteadiness
+from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.chance import LIMIT
 from limslam_agent.status.rays import Sight, wall_points
@@ -162,7 +162,7 @@ class Mapper(Frames):
         self._recovery, self._lookup = self._new_recovery(), None
         if self._prior_map is not None:
             self._lookup = Lookup(self._prior_map, self.robot, self.config, len(starts))
-        self._waiting = WaitingTravel(len(starts), unsteadiness(self.robot))
+        self._waiting = WaitingTravel(len(starts), self.robot)
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)

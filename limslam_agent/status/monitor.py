@@ -112,7 +112,7 @@ class StatusMonitor:
         self._changes = SuddenChanges(robot)
         self._steady = np.zeros((STEADY, len(robot.beams)))
         self._steady[READING] = math.nan
-        self.jump, self._driven = 0.0, 0.0
+        self.jump, self._driven, self._is_unknown = 0.0, 0.0, False
         self.loss: Loss | None = None
         self.broken: int | None = None
         self.status = self.by_readings = Status()
@@ -139,9 +139,9 @@ class StatusMonitor:
 
         x, y, turn = sight.motion.tolist()
         distance = math.hypot(x, y)
-        # Where a motion is not known, its standard deviations count, too.
         unknown = math.sqrt(sum(unknown_of(sight.observation)))
-        is_jump = distance > _MAX_JUMP or unknown > _MAX_TURN * self._robot.axle
+        self._is_unknown = unknown > _MAX_TURN * self._robot.axle
+        is_jump = distance > _MAX_JUMP or self._is_unknown
         if is_jump:
             distance = max(distance, unknown)
             self.jump, distance = self.jump + distance, 0.0
@@ -245,9 +245,10 @@ class StatusMonitor:
     def _loss(self) -> Loss | None:
         """Why the robot is lost now; None if it is not."""
         if self.jump and self.loss is None:
-            return Loss(
-                Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0
-            )
+            words = f"the odometry reports a motion of {self.jump:.1f} m in one step"
+            if self._is_unknown:
+                words = "how the robot moved in a gap of its odometry is not known"
+            return Loss(Status("lost", words), 0)
         found = self._changes.suspicion
         return self.doubt if found is not None and found.is_certain else None
 

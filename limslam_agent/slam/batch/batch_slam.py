@@ -324,7 +324,9 @@ def accept(
     settings, beams, travel = spec.settings[0], spec.beams, state.travel
     ekf, walls, hits = state.filter, state.walls, np.zeros(len(ranges), dtype=np.bool_)
     ekf.counts[STEP] += 1
-    increment, covariance = steps.wheel_motion(wheels, settings.axle, settings.wheel_variance)
+    increment, covariance = steps.wheel_motion(
+        wheels, settings.axle, settings.wheel_variance, (0.0, 0.0)
+    )
     moved = math.hypot(increment[0], increment[1]) + TURN_LENGTH * abs(increment[2])
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])

@@ -8,10 +8,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from limslam_agent.readings import unsteadiness
 from limslam_agent.slam.core.front_end import yaw_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
-from limslam_env.interface import Observation
+from limslam_env.interface import Observation, RobotSpec
 
 LONGEST = 10.0
 """Largest delay, in steps."""
@@ -47,8 +48,7 @@ def behind(poses: FloatArray, waiting: FloatArray, axle: float) -> FloatArray:
 class WaitingTravel:
     """The travel of the wheels of n robots that waits for late ranges.
 
-    The mean square of how much the travel of a wheel changes from step to step is ``unsteady``,
-    m^2.
+    How much the travel of a wheel changes from step to step is that of a ``robot``.
 
     Attributes
     ----------
@@ -56,9 +56,13 @@ class WaitingTravel:
         Travel (n, 2) that waits, m.
     """
 
-    def __init__(self, robots: int, unsteady: float = 0.0) -> None:
+    def __init__(self, robots: int, robot: RobotSpec | None = None) -> None:
         self._totals = [np.zeros((robots, 2))]
-        self._last, self._missing, self._unsteady = self._totals[0], np.zeros((robots, 2)), unsteady
+        self._last, self._missing, self._unsteady = (
+            self._totals[0],
+            np.zeros((robots, 2)),
+            unsteadiness(robot or RobotSpec()),
+        )
         self._given = self.travel = self._totals[0]
         self._yaw: list[FloatArray] = []
 

@@ -14,7 +14,7 @@ better than those of now, and the wheels tell how far the robot has turned since
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,9 +41,10 @@ JUMP = math.radians(20.0)
 """A heading jumps if it turns by this much more, rad, than slip of both wheels explains."""
 
 
-_LAGS = 0.2 * np.arange(61)  # steps by which headings may be late
-_SMOOTHED = (1.0 - _LAGS % 1.0) ** 2 + (_LAGS % 1.0) ** 2  # variance of turns between two steps
-_LATE = 30.0  # twice the log-likelihood ratio from which on a heading is late
+_LONGEST_LAG = 14  # steps
+# Headings are late if the misfit of their turns grows by so many times its mean from a lag to its
+# neighbours, and by more steps than these.
+_CLEARLY, _LATE = 30.0, 0.15
 
 _SURE = 3.0  # standard deviations of the wheels' turn
 
@@ -87,7 +88,8 @@ class TurnMeter:
         self._robot, self._noise = robot, noise
         self._yaw, self._tick, self._still, self._resolution = math.nan, 0.0, 0.0, 0.0
         self.lag, self._shift, self._readings = 0.0, 0.0, 0
-        self._totals, self._misfits = np.zeros(len(_LAGS) // 4), np.zeros(len(_LAGS))
+        self._turns, self._misfits = np.zeros(_LONGEST_LAG), np.zeros(_LONGEST_LAG)
+        self._own = math.nan
         self._since_reading()
 
     def step(self, yaw: float, wheels: FloatArray, more: float = 0.0) -> Turn:
@@ -108,7 +110,10 @@ class TurnMeter:
         self._still = 0.0 if travel else self._still + period
         self._seconds += period
         self._turned += turn
-        self._totals = np.append(self._totals[1:], self._totals[-1] + turn)
+        self._turns = np.append(turn, self._turns[:-1])
+        if not math.isnan(self._own):
+            self._find_lag(self._own)
+        self._own = math.nan
         self._slipping += (travel + _SURE * math.sqrt(more)) / axle
         self._variance += (self._noise.wheel_variance * travel + more) / axle**2 + LEAST_VARIANCE
         if math.isnan(yaw):
@@ -121,27 +126,30 @@ class TurnMeter:
         if not own and (not self._tick or abs(self._turned) > unnoticed):
             return self._without_reading(turn, math.nan if self._tick else yaw)
         if self._seconds < 1.5 * period:
-            self._find_lag(own)
+            self._own = own
         if not self.lag:
             # A heading that does not change while it does in other steps has coarse steps.
             self._tick = tick_by(self._tick, own) if own else abs(self._tick)
-        own += self._turned_since(self.lag) - self._shift
+        own += self._turned_late() - self._shift
         return self._read(yaw, self._by_heading(own, turn))
 
     def _find_lag(self, own: float) -> None:
-        """Compare how far the heading has turned in a step, rad, with the wheels before."""
-        before = self._turned_since(_LAGS + 1.0) - self._turned_since(_LAGS)
-        self._misfits += (own - before) ** 2 / _SMOOTHED
+        """Compare how far the heading turned in the step before, rad, with the wheels in each step
+        around.
+        """
+        self._misfits += (own - self._turns) ** 2
         self._readings += 1
-        best = int(self._misfits.argmin())
-        ratio = math.log((self._misfits[0] + 1e-12) / (self._misfits[best] + 1e-12))
-        if self._readings * ratio > _LATE:
-            self.lag = float(_LAGS[best])
+        best = int(self._misfits[1:-1].argmin())
+        earlier, least, later = self._misfits[best : best + 3].tolist()
+        sharpness = earlier + later - 2.0 * least
+        if sharpness * self._readings > _CLEARLY * least:
+            lag = best + 0.5 * (earlier - later) / sharpness
+            self.lag = lag if lag > _LATE else 0.0
 
-    def _turned_since(self, steps: FloatArray | float) -> Any:
-        """How far the wheels have turned the robot in the last steps, rad."""
-        places = np.arange(len(self._totals)) - len(self._totals) + 1.0
-        return self._totals[-1] - np.interp(-np.asarray(steps), places, self._totals)
+    def _turned_late(self) -> float:
+        """How far the wheels have turned the robot since the time of its heading, rad."""
+        whole = int(self.lag)
+        return float(self._turns[:whole].sum() + (self.lag - whole) * self._turns[whole])
 
     def _by_heading(self, own: float, by_wheels: float) -> Turn:
         """The turn of a step in which the heading has turned, rad, since its last reading."""
@@ -171,7 +179,7 @@ class TurnMeter:
         return Turn(turn, LEAST_VARIANCE, jitter=self._resolution_variance + self._variance)
 
     def _read(self, yaw: float, turn: Turn) -> Turn:
-        self._yaw, self._shift = yaw, self._turned_since(self.lag)
+        self._yaw, self._shift = yaw, self._turned_late()
         self._since_reading()
         return turn
 

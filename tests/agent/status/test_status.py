@@ -312,6 +312,18 @@ def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     assert not watched.observe(blind(0.01), is_busy=True)
 
 
+def test_a_motion_of_which_the_odometry_knows_nothing_is_a_jump():
+    watched = monitor()
+    watched_levels(watched, 40)
+    seen = Sight(place(40), ranges_at(place(40), WALLS), np.zeros(3))
+    unknown = {"wheels": np.zeros(2), "wheel_variances": np.full(2, 0.1**2)}
+    assert watched.observe(seen._replace(observation=unknown), is_busy=False)
+    watched.check(SURE, KNOWN)
+    reason = "how the robot moved in a gap of its odometry is not known"
+    assert watched.status == Status("lost", reason)
+    assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(0.1 * math.sqrt(2.0))
+
+
 def test_a_beam_alone_is_no_proof():
     """Its readings change again and again, and contradict the map."""
     watched, free = (

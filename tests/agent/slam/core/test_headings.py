@@ -131,11 +131,11 @@ def test_headings_that_are_late_are_brought_up_to_date_by_the_wheels(late: int) 
     yaw = np.append(np.zeros(late), true)[: len(true)]
     turns = turns_of(ROBOT, NOISE, yaw, noisy)
     off = np.cumsum([each.angle for each in turns]) - true
-    assert np.ptp(off[20:]) < 0.1
+    assert np.ptp(off[40:]) < 0.15
     meter = TurnMeter(ROBOT, NOISE)
     for each in zip(yaw.tolist(), noisy, strict=True):
         meter.step(*each)
-    assert meter.lag == pytest.approx(late, abs=0.21)
+    assert meter.lag == pytest.approx(late, abs=0.3)
 
 
 def test_late_ranges_delay_the_heading_as_they_delay_the_wheels() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from limslam_agent import LineSlam, preset
 from limslam_agent.config.shared import OdometryConfig
+from limslam_agent.readings import unsteadiness
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import DELAY
 from limslam_agent.slam.core.contact import LONGEST, Contacts, slip_covariance, slip_covariances
@@ -171,13 +172,14 @@ def test_a_wheel_that_stands_says_nothing_of_a_tick() -> None:
 
 
 def test_wheels_without_a_report_go_on_with_a_growing_variance() -> None:
-    waiting, wheels = WaitingTravel(1, 1e-5), np.full((6, 2), 0.03)
+    waiting, wheels = WaitingTravel(1, ROBOT), np.full((6, 2), 0.03)
     wheels[2:4], wheels[4:] = np.nan, 0.01
     seen = [waiting.synchronous([{"wheels": each}], 0.0)[0] for each in wheels]
     given = np.array([each["wheels"] for each in seen])
     np.testing.assert_allclose(given[:, 0], [0.03, 0.03, 0.03, 0.03, 0.01, 0.01])
     variances = [float(each.get("wheel_variances", np.zeros(2))[0]) for each in seen]
-    np.testing.assert_allclose(variances, [0.0, 0.0, 1e-5, 4e-5, 0.0, 0.0])
+    once = unsteadiness(ROBOT)
+    np.testing.assert_allclose(variances, [0.0, 0.0, once, 4.0 * once, 0.0, 0.0])
 
 
 def test_the_jitter_is_the_covariance_of_parts_of_ticks() -> None:
