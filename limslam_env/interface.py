@@ -62,10 +62,13 @@ class Observation(TypedDict):
     """One step's readings, float32 as the environments give them.
 
     ``ranges`` (n_beams,) in metres, a beam's maximum where it sees nothing; ``wheels`` (2,),
-    left and right wheel travel in metres since the last observation. Without ``ranges`` nothing was
-    measured. An agent also takes what other sensors report: infinity and anything at or beyond the
-    maximum mean that nothing was seen, 0 up to the minimum means that something may be near, and
-    NaN and negative numbers are skipped and counted. Recorded logs that hold poses instead of wheel
+    left and right wheel travel in metres since the last observation, NaN where that is not known:
+    the wheels are then taken to go on at their last speed, with a wide variance.
+    ``wheel_variances`` (2,), m^2, says by how much travel is less certain than the noise of
+    encoders. Without ``ranges`` nothing was measured. An agent also takes what other sensors
+    report: infinity and anything at or beyond the maximum mean that nothing was seen, 0 up to the
+    minimum means that something may be near, and NaN and negative numbers are skipped and
+    counted. Recorded logs that hold poses instead of wheel
     travel give ``odometry`` (3,), the motion since the last observation in the robot's frame at
     that time (m, m, rad), and leave ``wheels`` out. ``yaw`` is the heading by an inertial
     measurement unit, rad, counter-clockwise in a frame of its own, NaN where it has no reading.
@@ -73,6 +76,7 @@ class Observation(TypedDict):
 
     ranges: NotRequired[NDArray[np.floating[Any]]]
     wheels: NotRequired[NDArray[np.floating[Any]]]
+    wheel_variances: NotRequired[NDArray[np.floating[Any]]]
     odometry: NotRequired[NDArray[np.floating[Any]]]
     yaw: NotRequired[float]
 

@@ -17,8 +17,9 @@ import numpy as np
 
 import limslam_agent
 from benchmarks.scoreboard.compare import Cell
-from benchmarks.scoreboard.measure import RIGHT, measure
+from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, Rows
+from benchmarks.scoreboard.scores import RIGHT
 from benchmarks.suite.jobs import Suite, digest
 from benchmarks.suite.runner import Summary, data_folder, run_suite
 from benchmarks.suite.store import read_rows
@@ -196,7 +197,7 @@ def table(board: Board) -> list[str]:
 
 def _line(name: str, all_cells: Sequence[Cell]) -> str:
     cells = [cell for cell in all_cells if "error" not in cell]
-    statuses = [str(cell["status"]) for cell in cells]
+    statuses = [str(cell["status"]) for cell in cells if "status" in cell]
     counts = ", ".join(
         f"{statuses.count(each)} {each}" for each in ("ok", "unsure", "lost") if each in statuses
     )
@@ -220,7 +221,7 @@ def _line(name: str, all_cells: Sequence[Cell]) -> str:
     wrong = f"{_total(cells, 'wrong_ok_s')} ({longest_words}, {_total(cells, 'wrong_ok_end')})"
     count = f"{len(cells)} ({failed} failed)" if failed else str(len(cells))
     right = [each for each in cells if _is_right(each)]
-    rights = f"{len(right)} ({sum(each['status'] == 'ok' for each in right)})"
+    rights = f"{len(right)} ({sum(each.get('status') == 'ok' for each in right)})"
     alarms = _total(cells, "false_alarm_s")
     figures = (name, count, *paths, nees, walls, wrong, alarms, counts, rights, cpu)
     return f"| {' | '.join(figures)} |"
@@ -304,8 +305,11 @@ def _is_import(node: ast.AST) -> TypeGuard[ast.stmt]:
 
 
 def _is_text(node: ast.AST) -> TypeGuard[ast.stmt]:
-    is_constant = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    return is_constant and isinstance(node.value.value, str)
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
 
 
 def digest_of(files: list[Path]) -> str:

@@ -6,13 +6,20 @@ import functools
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from benchmarks.scoreboard.compare import CPU
 from benchmarks.scoreboard.drives import recorded_drive, shaken
 from benchmarks.scoreboard.rows import Row
+from benchmarks.scoreboard.scores import (
+    WRONG_PATH,
+    Scores,
+    at_the_end,
+    faces,
+    path_scores,
+    while_driving,
+)
 from benchmarks.scoreboard.worlds import world_of
 from benchmarks.suite.faults import fault_scores
 from benchmarks.suite.jobs import Job, Outcome
@@ -20,28 +27,21 @@ from benchmarks.suite.runner import data_file
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.output.export import plain
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.record import Replay
 from limslam_agent.replay.replay import relation_scores, replay_log
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.results import over_robots, score
+from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.status.chance import TURNED
-from limslam_agent.status.status import LEVELS
+from limslam_agent.slam.batch.batch_slam import BatchSlam
+from limslam_agent.two_logs.joining import replay_logs
 from limslam_env import metrics
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points, wrap_angle
-from limslam_env.geometry.segment import distances
+from limslam_env.geometry import se2
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.worlds.world import World
 
-WRONG = 0.5
-"""A pose is wrong if it is farther off, m. While the status is ok, this is never right."""
-WRONG_PATH = 0.6
-"""A smoothed path is wrong if the root mean square of its aligned position errors is larger, m."""
-RIGHT = 0.2
-"""An alarm is false while the pose is not farther off, m."""
-
-Scores = dict[str, Any]
+_FOUND = "found in the saved map"
+_OTHER_DRIVE = 500  # seeds from a drive to another one through the same world
 
 
 def measure(rows: Mapping[str, Row], jitter: float, job: Job) -> Outcome:
@@ -62,15 +62,34 @@ def warm_up() -> None:
     _drive(row, Job("env1", row.noise, policy=row.name), 0.0)
 
 
+@functools.cache
+def warm_up_batch() -> None:
+    """Load or compile what a batch needs."""
+    BatchSlam(RobotSpec(), size=0).step(np.ones((1, 6)), np.zeros((1, 2)))
+
+
 def _drive(row: Row, job: Job, jitter: float) -> Scores:
     """A recorded drive, replayed as ``limslam replay`` does."""
     world = world_of(job.world)
     log = recorded_drive(row, world, job.seed, jitter)
+    found, spent = _replayed(log, row, job)
+    return {**replay_scores(found), **_wall_scores(world, found), **_times(found, spent)}
+
+
+def _replayed(
+    log: RecordedLog, row: Row, job: Job, prior_map: SavedMap | None = None
+) -> tuple[Replay, float]:
+    """The replay of a log, and the processor time that it took, s."""
     begin = time.process_time()
-    found = replay_log(log, preset(job.preset, NominalNoise(row.noise)))
-    spent = time.process_time() - begin
-    assert log.true_pose is not None  # noqa: S101 (drives are recorded with the truth)
-    true, smoothed = log.true_pose[:, None], found.smoothed
+    found = replay_log(log, preset(job.preset, NominalNoise(row.noise)), prior_map=prior_map)
+    return found, time.process_time() - begin
+
+
+def replay_scores(found: Replay) -> Scores:
+    """The figures of a replay with the truth, without those of its map."""
+    log, smoothed = found.log, found.smoothed
+    assert log.true_pose is not None  # noqa: S101 (the logs of rows with the truth have it)
+    true = log.true_pose[:, None]
     poses = None if smoothed is None else smoothed.poses[:, None]
     covariances = (
         None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
@@ -80,11 +99,9 @@ def _drive(row: Row, job: Job, jitter: float) -> Scores:
         **({} if poses is None else path_scores(true, poses, covariances, "_smoothed")),
         **path_scores(true, found.odometry[:, None], None, "_odometry"),
         **while_driving(log.time, true, found.estimated[:, None], found.levels[:, None]),
-        **_wall_scores(world, log, found, true[:, 0] if poses is None else poses[:, 0]),
         **at_the_end(
             _final_level(found), true, found.estimated[:, None] if poses is None else poses
         ),
-        **_times(found, spent),
     }
 
 
@@ -102,106 +119,15 @@ def _final_level(found: Replay) -> str:
     return str(filtered if smoothed is None else smoothed.figures.get("smoothed_status", filtered))
 
 
-def _wall_scores(world: World, log: RecordedLog, found: Replay, drawn_from: FloatArray) -> Scores:
+def _wall_scores(world: World, found: Replay) -> Scores:
+    log, smoothed = found.log, found.smoothed
     assert log.true_pose is not None  # noqa: S101 (drives are recorded with the truth)
+    drawn_from = log.true_pose if smoothed is None else smoothed.poses
     visible = metrics.visible_samples(world, log.robot.radius, log.robot.reach)
     alignment = metrics.rigid_alignment(log.true_pose[:, :2], drawn_from[:, :2])
     walls = metrics.wall_metrics(visible, world.edges, found.segments, alignment)
-    faces = _faces(world, log.robot, found.segments, alignment)
-    return {"f1_5cm": walls["wall_f1_5cm"], "f1_aligned_5cm": walls["wall_f1_aligned_5cm"], **faces}
-
-
-def _faces(world: World, robot: RobotSpec, segments: FloatArray, alignment: FloatArray) -> Scores:
-    """The share of the visible sides of obstacles, however short, that aligned segments (k, 4) are
-    within 5 cm of.
-    """
-    points, _, owner = metrics.visible_samples(world, robot.radius, robot.reach, shortest=0.0)
-    points, moved = (
-        points[owner >= len(world.walls)],
-        transform_points(alignment, segments.reshape(-1, 2)),
-    )
-    if not len(points):
-        return {}
-    away = distances(points, moved.reshape(-1, 4)).min(axis=1, initial=np.inf)
-    return {"faces_5cm": float(np.mean(away <= metrics.NEARER))}
-
-
-def path_scores(
-    true: FloatArray, poses: FloatArray, covariances: FloatArray | None, suffix: str
-) -> Scores:
-    """Errors of paths (t, n, 3) of n robots with covariances (t, n, 3, 3), as means over the
-    robots.
-    """
-
-    def of_one(*columns: FloatArray) -> dict[str, float | None]:
-        errors = metrics.trajectory_metrics(*columns[:2])
-        found = {
-            f"ate{suffix}_m": errors["ate_m"],
-            f"ate{suffix}_aligned_m": errors["ate_aligned_m"],
-            f"ate{suffix}_scaled_m": scaled_error(*columns[:2]),
-        }
-        nees = (
-            {f"nees{suffix}": metrics.consistency_metrics(*columns)["anees"]}
-            if len(columns) == 3
-            else {}
-        )
-        return plain({**found, **nees})
-
-    return over_robots(of_one, true, poses, *(() if covariances is None else (covariances,)))
-
-
-def scaled_error(true: FloatArray, estimated: FloatArray) -> float:
-    """The root mean square of the position errors of poses (n, 3), m, after alignment by a rigid
-    motion and one scale.
-    """
-    alignment = metrics.rigid_alignment(true[:, :2], estimated[:, :2])
-    target = true[:, :2] - true[:, :2].mean(axis=0)
-    source = transform_points(alignment, estimated[:, :2])
-    source -= source.mean(axis=0)
-    spread = float((source**2).sum())
-    scale = float((source * target).sum()) / spread if spread else 1.0
-    return float(np.sqrt(((target - scale * source) ** 2).sum(axis=1).mean()))
-
-
-def while_driving(
-    time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray
-) -> Scores:
-    """How long poses (t, n, 3) were wrong although the status (t, n) was ok, and right although it
-    was not, and how long it was ok, and off all the same: wrong, or turned too far, s.
-
-    The times of several robots are added. Also the longest time that one was wrong without a break
-    and the status ok.
-    """
-    errors = np.hypot(*(estimated - true)[..., :2].transpose(2, 0, 1))
-    is_off = (errors > WRONG) | (np.abs(wrap_angle((estimated - true)[..., 2])) > TURNED)
-    lasts, is_ok = np.append(np.diff(time_s), 0.0)[:, None], levels == LEVELS.index("ok")
-    is_wrong = is_ok & (errors > WRONG)
-    return {
-        "wrong_ok_s": float((lasts * is_wrong).sum()),
-        "longest_wrong_ok_s": max(_longest(lasts[:, 0], one) for one in is_wrong.T),
-        "false_alarm_s": float((lasts * (~is_ok & (errors < RIGHT))).sum()),
-        "ok_s": float((lasts * is_ok).sum()),
-        "off_ok_s": float((lasts * (is_ok & is_off)).sum()),
-    }
-
-
-def _longest(lasts: FloatArray, holds: BoolArray) -> float:
-    """The longest time for which something holds (t,) without a break, of steps that last (t,)."""
-    total = np.append(0.0, np.cumsum(lasts))
-    begins, ends = np.flatnonzero(np.diff(holds, prepend=0, append=0)).reshape(-1, 2).T
-    return float((total[ends] - total[begins]).max(initial=0.0))
-
-
-def at_the_end(level: str, true: FloatArray, poses: FloatArray) -> Scores:
-    """The final status, and whether it is ok although a path (t, n, 3) is wrong."""
-    errors = [
-        metrics.trajectory_metrics(true[:, one], poses[:, one])["ate_aligned_m"]
-        for one in range(true.shape[1])
-    ]
-    return {
-        "status": level,
-        "wrong_ok_end": int(level == "ok" and max(each or 0.0 for each in errors) > WRONG_PATH),
-    }
+    seen = faces(world, log.robot, found.segments, alignment)
+    return {"f1_5cm": walls["wall_f1_5cm"], "f1_aligned_5cm": walls["wall_f1_aligned_5cm"], **seen}
 
 
 def _exploration(row: Row, job: Job, jitter: float) -> Scores:
@@ -220,7 +146,7 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
         job.seed,
         longest,
         robots=row.robots,
-        until="walls",
+        until=row.until,
         unknown_starts=row.unknown_starts,
         kidnap_at=kidnap_at,
         true_noise=row.true_noise,
@@ -234,11 +160,11 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     true, estimated = episode.true[:, placed], episode.estimated[:, placed]
     first = (episode.placed_steps, 0, slice(2))
     alignment = metrics.rigid_alignment(episode.true[first], episode.final_map.poses[first])
-    faces = _faces(episode.world, config.robot, episode.final_map.segments, alignment)
+    seen = faces(episode.world, config.robot, episode.final_map.segments, alignment)
     walls = {
         "f1_5cm": found["wall_f1_5cm"],
         "f1_aligned_5cm": found["wall_f1_aligned_5cm"],
-        **faces,
+        **seen,
     }
     if kidnap_at is None:
         paths = path_scores(true, estimated, episode.covariances[:, placed], "")
@@ -260,6 +186,7 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
         **while_driving(episode.time, true, estimated, episode.levels[:, placed]),
         **walls,
         **at_the_end(found["status"], true, estimated if smoothed is None else smoothed.poses),
+        "association_right_share": found["association_right_share"],
         "explored": int(episode.is_finished),
         "driven_s": float(episode.time[-1]),
         "drive_cpu_s": driven - begin,
@@ -277,9 +204,7 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
     log = read_log(data_file(row.file), row.beams, row.max_range)
     ranges = shaken(log.ranges.astype(np.float64), log.robot, jitter, job.seed)
     log = replace(log, ranges=ranges.astype(np.float32))
-    begin = time.process_time()
-    found = replay_log(log, preset(job.preset, NominalNoise(row.noise)))
-    spent = time.process_time() - begin
+    found, spent = _replayed(log, row, job)
     errors = relation_scores(found, read_relations(data_file(row.relations)))
     scores = {
         f"ate{suffix}{kind}_m": errors.get(f"{prefix}{name}")
@@ -296,12 +221,10 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
 
 def _made_up_log(row: Row, job: Job, jitter: float) -> Scores:
     """A log of few points, smoothed without the filter in front of it."""
-    from benchmarks.scoreboard.made_up_logs import made_up_log, smoothing_scores
+    from benchmarks.scoreboard.made_up_logs import made_up_log, smoothing_scores, sparse_sensor
 
-    del row
-    found = smoothing_scores(
-        made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0), job.seed, jitter
-    )
+    log = made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0)
+    found = smoothing_scores(log, sparse_sensor(job.seed, *row.points), jitter)
     return {
         **found,
         "wrong_ok_end": int(
@@ -310,9 +233,121 @@ def _made_up_log(row: Row, job: Job, jitter: float) -> Scores:
     }
 
 
+def _long_log(row: Row, job: Job, jitter: float) -> Scores:
+    """A log of a long drive through a campus, replayed as ``limslam replay`` does."""
+    from benchmarks.scoreboard.campus import campus_beams, campus_log
+    from benchmarks.scoreboard.made_up_logs import as_recorded
+
+    recorded = as_recorded(campus_log(job.seed), campus_beams(job.seed), row.max_range)
+    return _log_with_truth(recorded, row, job, jitter)
+
+
+def _flight(row: Row, job: Job, jitter: float) -> Scores:
+    """A log of a short flight, replayed as ``limslam replay`` does."""
+    from benchmarks.scoreboard.made_up_logs import as_recorded, flight_log
+
+    recorded = as_recorded(flight_log(job.seed, np.radians(row.beams)), row.beams, row.max_range)
+    return _log_with_truth(recorded, row, job, jitter)
+
+
+def _log_with_truth(log: RecordedLog, row: Row, job: Job, jitter: float) -> Scores:
+    """``nees_smoothed`` compares the square of the error with that of the stated one."""
+    ranges = shaken(log.ranges.astype(np.float64), log.robot, jitter, job.seed)
+    found, spent = _replayed(replace(log, ranges=ranges.astype(np.float32)), row, job)
+    scores = replay_scores(found)
+    figures = {} if found.smoothed is None else found.smoothed.figures
+    stated = figures.get("smoothed_position_std_m")
+    error = scores.get("ate_smoothed_aligned_m")
+    # Nothing is stated of a path of one key pose.
+    compared = (
+        {"stated_m": stated, "nees_smoothed": (error / stated) ** 2} if stated and error else {}
+    )
+    return {**scores, **compared, **_times(found, spent)}
+
+
+def _second_drive(row: Row, job: Job, jitter: float) -> Scores:
+    """A drive that begins at an unknown place of the map of another drive through the same
+    world.
+    """
+    world = world_of(job.world)
+    drive = replace(row, kind="drive")
+    first, _ = _replayed(recorded_drive(drive, world, job.seed, jitter), row, job)
+    log = recorded_drive(drive, world, job.seed + _OTHER_DRIVE, jitter)
+    known = SavedMap(first.segments, first.landmarks, first.grid)
+    found, spent = _replayed(replace(log, start_pose=np.zeros(3)), row, job, known)
+    placed = int(any(each["event"] == _FOUND for each in found.places.records))
+    return {**replay_scores(found), "placed": placed, **_times(found, spent)}
+
+
+def _two_logs(row: Row, job: Job, jitter: float) -> Scores:
+    """Two drives through one world, with ranges that are too long by ``biases``, joined."""
+    world = world_of(job.world)
+    logs = [
+        recorded_drive(
+            replace(row, kind="drive", fault="offset", fault_size=bias),
+            world,
+            job.seed + number * _OTHER_DRIVE,
+            jitter,
+        )
+        for number, bias in enumerate(row.biases)
+    ]
+    starts = np.array([log.start_pose for log in logs])
+    logs[1] = replace(logs[1], start_pose=np.zeros(3))
+    begin = time.process_time()
+    found = replay_logs(logs, preset(job.preset, NominalNoise(row.noise)))
+    spent = time.process_time() - begin
+    # What was not joined is judged by itself, from where it truly began.
+    own = np.zeros(3) if found.is_joined else starts[1]
+    first, second = found.poses
+    poses = np.stack((first, se2.compose(own, second)), axis=1)
+    true = np.stack([log.true_pose for log in logs if log.true_pose is not None], axis=1)
+    return {
+        **path_scores(true, poses, None, "_smoothed"),
+        **at_the_end(found.status.level, true, poses),
+        "placed": int(found.is_joined),
+        "drive_cpu_s": spent - found.seconds,
+        "smoothing_cpu_s": found.seconds,
+    }
+
+
+def _batch(row: Row, job: Job, jitter: float) -> Scores:
+    """A recorded drive, estimated by a batch, in which no status is kept.
+
+    ``batch_apart_m`` is how far its positions are from those of the single estimator at most,
+    which calibrates.
+    """
+    log = recorded_drive(row, world_of(job.world), job.seed, jitter)
+    assert log.wheels is not None and log.true_pose is not None  # noqa: PT018, S101 (of a drive)
+    settings = preset("consistent", NominalNoise(row.noise))
+    warm_up_batch()
+    begin = time.process_time()
+    batch = BatchSlam(log.robot, settings, 1, num_threads=1, size=0)
+    batch.reset(log.start_pose[None])
+    beliefs = [
+        batch.step(ranges[None], wheels[None])
+        for ranges, wheels in zip(log.ranges, log.wheels, strict=True)
+    ]
+    spent = time.process_time() - begin
+    poses, covariances = (
+        np.array([getattr(each, name)[0] for each in beliefs]) for name in ("pose", "covariance")
+    )
+    single = replay_log(log, settings).estimated
+    true = log.true_pose[:, None]
+    return {
+        **path_scores(true, poses[:, None], covariances[:, None], ""),
+        "batch_apart_m": float(np.hypot(*(poses - single)[:, :2].T).max()),
+        "drive_cpu_s": spent,
+    }
+
+
 _KINDS: dict[str, Callable[[Row, Job, float], Scores]] = {
+    "batch": _batch,
+    "campus log": _long_log,
     "drive": _drive,
     "exploration": _exploration,
+    "flight": _flight,
     "log": _log,
     "made-up log": _made_up_log,
+    "second drive": _second_drive,
+    "two logs": _two_logs,
 }

@@ -19,7 +19,17 @@ from limslam_env.interface import RobotSpec
 
 SHIPPED = Path(__file__).parent / "rows.toml"
 
-Kind = Literal["drive", "exploration", "log", "made-up log"]
+Kind = Literal[
+    "batch",
+    "campus log",
+    "drive",
+    "exploration",
+    "flight",
+    "log",
+    "made-up log",
+    "second drive",
+    "two logs",
+]
 
 
 @dataclass(frozen=True)
@@ -29,7 +39,10 @@ class Row:
     name: str  # name of the row
     # ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop.
     # ``log``: a log in the folder of recorded data, replayed. ``made-up log``: a log of few points,
-    # of those of :mod:`benchmarks.scoreboard.made_up_logs`, smoothed.
+    # of those of :mod:`benchmarks.scoreboard.made_up_logs`, smoothed. ``flight``: a short one of
+    # them, replayed. ``campus log``: a long drive of :mod:`benchmarks.scoreboard.campus`, replayed.
+    # ``second drive``: a drive that begins at an unknown place of the map of another one. ``two
+    # logs``: two drives, joined. ``batch``: a drive by the estimator of batches.
     kind: Kind
     # worlds, seeds: worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of
     # them
@@ -65,6 +78,13 @@ class Row:
     relations: str = ""
     beams: tuple[float, ...] = ()
     max_range: float = 5.0
+    # preset, until: settings of the estimator, and what an exploration looks for
+    preset: str = DEFAULT_PRESET
+    until: str = "walls"
+    # biases: by how much the ranges of each of two logs are too long, m
+    biases: tuple[float, float] = (0.0, 0.0)
+    # points: of made-up logs, the least and the most readings of walls in a metre of driving
+    points: tuple[float, float] = (5.0, 40.0)
 
     def __post_init__(self) -> None:
         if self.seeds < 1 or not self.worlds:
@@ -90,7 +110,7 @@ class Row:
                 world.replace(":seed", f":{seed}") or self.file or self.kind,
                 self.noise,
                 self.robots,
-                DEFAULT_PRESET,
+                self.preset,
                 self.name,
                 seed=seed,
             )

@@ -129,6 +129,7 @@ class RangeErrorConfig(Bounded):
     # Standard deviations of a bias of all ranges, m, and of half the opening angle, rad
     bias_std: NonNegative = 0.02
     cone_std: NonNegative = 0.05
+    scale_std: NonNegative = 0.02  # Standard deviation of the share by which all ranges are longer
     delay_std: NonNegative = 0.1  # Standard deviation of a delay of all ranges, s
     turn_std: NonNegative = 0.05  # Standard deviation of the direction of a beam, rad
     least_std: NonNegative = 0.005  # Smaller noise is not estimated, m

@@ -213,6 +213,7 @@ class _Table:
             has_scan,
             wheels=odometry.wheels,
             yaw=odometry.yaw,
+            gaps=tuple(odometry.gaps),
             notes=found,
             columns=columns,
             header=self.names,

@@ -15,6 +15,7 @@ from typing import IO, Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from limslam_agent.logs.lost_reports import across
 from limslam_agent.logs.odometry_breaks import OdometryBreak, odometry_breaks
 from limslam_agent.readings import path_moved, settled
 from limslam_agent.safe_files import load_arrays, open_regular
@@ -90,8 +91,11 @@ class RecordedLog:
     odometry
         Absolute odometry poses (n, 3), m, m, rad, in a frame of their own, or None.
     wheels
-        Left and right wheel travel since the previous event (n, 2), m, or None. A log has either
-        odometry or wheels.
+        Left and right wheel travel since the previous event (n, 2), m, or None; NaN where it is not
+        known. A log has either odometry or wheels.
+    wheel_variances
+        Variances (n, 2) of the travel beyond the noise of encoders, m^2. If left out, the travel
+        that is missing is taken from the speeds around.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
     yaw
@@ -135,6 +139,7 @@ class RecordedLog:
     yaw: FloatArray | None = None
     notes: tuple[str, ...] = ()
     gaps: tuple[int, ...] = ()
+    wheel_variances: FloatArray | None = None
     columns: tuple[str, ...] = ()
     header: tuple[str, ...] = ()
     missing: str = "auto"
@@ -155,7 +160,9 @@ class RecordedLog:
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
             if array is not None:
-                _check(name, array, (count, width))
+                _check(name, np.nan_to_num(array, posinf=np.inf, neginf=-np.inf), (count, width))
+        if self.wheels is not None and self.wheel_variances is None:
+            self._bridge(self.wheels)
         if self.true_pose is not None:
             _check("true_pose", self.true_pose, (count, 3))
         if self.yaw is not None:
@@ -163,16 +170,27 @@ class RecordedLog:
             if self.odometry is not None and _UNUSED_YAW not in self.notes:
                 object.__setattr__(self, "notes", (*self.notes, _UNUSED_YAW))
         if self.odometry is not None:
-            breaks = odometry_breaks(self.time, self.odometry, self.gaps)
-            object.__setattr__(self, "breaks", breaks)
-            jumps = np.hypot(*np.diff(self.odometry[:, :2], axis=0).T)
-            jumps[[each.row - 1 for each in breaks]] = 0.0
-            if np.any(jumps > LONGEST_JUMP):
-                row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
-                raise ValueError(
-                    f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?"
-                )
+            self._break(self.odometry)
         self._settle()
+
+    def _break(self, odometry: FloatArray) -> None:
+        """Find the breaks of the odometry. Raises a ValueError if it jumps elsewhere."""
+        breaks = odometry_breaks(self.time, odometry, self.gaps)
+        object.__setattr__(self, "breaks", breaks)
+        jumps = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
+        jumps[[each.row - 1 for each in breaks]] = 0.0
+        if np.any(jumps > LONGEST_JUMP):
+            row = int(np.argmax(jumps > LONGEST_JUMP)) + 1
+            raise ValueError(
+                f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?"
+            )
+
+    def _bridge(self, wheels: FloatArray) -> None:
+        """Take the travel that is missing from the speeds around."""
+        travel, variances, notes = across(wheels, self.time, self.gaps, self.robot)
+        object.__setattr__(self, "wheels", travel)
+        object.__setattr__(self, "wheel_variances", variances)
+        object.__setattr__(self, "notes", (*self.notes, *notes))
 
     def _settle(self) -> None:
         """Turn what the sensors report into readings."""
@@ -242,6 +260,8 @@ class RecordedLog:
                 observation["odometry"] = motions[row].copy()
             elif self.wheels is not None:
                 observation["wheels"] = self.wheels[row].astype(np.float32)
+                if self.wheel_variances is not None and self.wheel_variances[row].any():
+                    observation["wheel_variances"] = self.wheel_variances[row]
             if self.yaw is not None:
                 observation["yaw"] = float(self.yaw[row])
             if self.has_scan[row]:

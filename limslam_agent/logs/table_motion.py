@@ -2,13 +2,14 @@
 and turns. A heading or a turn rate of an inertial measurement unit is compared with the wheels.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from limslam_agent.logs.columns import Dimension, Role
 from limslam_agent.logs.headings import FULL_TURN, heading_beside_wheels
+from limslam_agent.logs.lost_reports import gaps_in
 from limslam_agent.logs.table_layout import Form, Layout
 from limslam_agent.logs.table_options import TableOptions, scale
 from limslam_env.geometry import FloatArray, se2
@@ -43,6 +44,8 @@ class Odometry:
         What to ask where the travel is impossible. Empty for the travel of wheels.
     notes
         What was found and assumed, in words.
+    gaps
+        The rows before which reports of the wheels are missing.
     """
 
     wheels: FloatArray | None
@@ -52,6 +55,7 @@ class Odometry:
     is_speed: bool
     question: str
     notes: tuple[str, ...]
+    gaps: Sequence[int] = ()
 
 
 def odometry_of(
@@ -100,6 +104,9 @@ class _Conversion:
         self.layout, self.values, self.options = layout, values, options
         self.period, self.time = period, time
         self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
+        # A speed says how far the robot drove until the row, and not in all of a gap before it.
+        has_gaps = self.spacing > (1.5 * period if options.robot else np.inf)
+        self.lasted = np.where(has_gaps, period, self.spacing)
         self.units: dict[Role, str] = {}
         self.notes: list[str] = []
         self.is_speed = False
@@ -121,10 +128,13 @@ class _Conversion:
             forward, turn = self._motion()
             axle = 1.0 if robot is None else robot.axle
             wheels = np.column_stack((forward - 0.5 * axle * turn, forward + 0.5 * axle * turn))
-            if robot is None:
-                start = np.zeros(3)
-                poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
-                wheels = None
+        gaps = list[int]()
+        if wheels is not None and robot is None:
+            start = np.zeros(3)
+            poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
+            wheels = None
+        elif wheels is not None and (self.is_speed or not self.options.accumulated):
+            gaps = gaps_in(wheels, self.time, self.period).tolist()
         question = ""
         if self.is_speed:
             question = "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
@@ -133,7 +143,16 @@ class _Conversion:
                 "Is the distance in metres, since the row before? --position-unit and "
                 "--accumulated say otherwise"
             )
-        return Odometry(wheels, poses, yaw, self.units, self.is_speed, question, tuple(self.notes))
+        return Odometry(
+            wheels,
+            poses,
+            yaw,
+            self.units,
+            self.is_speed,
+            question,
+            tuple(self.notes),
+            gaps,
+        )
 
     def _scaled(self, role: Role, usual: str) -> FloatArray:
         """A column in m, rad, m/s or rad/s. ``usual`` is its unit where nothing says another."""
@@ -147,7 +166,7 @@ class _Conversion:
         if columns[0].dimension in _SPEEDS:
             self._say_that_ticks_do_not_matter()
             speeds = np.column_stack([self._wheel_speed(role) for role in _WHEELS])
-            return speeds * self.spacing[:, None]
+            return speeds * self.lasted[:, None]
         metres = np.full(2, self.options.metres_per_tick)
         for place, column in enumerate(columns):
             is_length = column.dimension is Dimension.LENGTH
@@ -190,12 +209,13 @@ class _Conversion:
         if Role.DISTANCE in roles:
             forward = self._since_before(self._scaled(Role.DISTANCE, "m"))
         else:
-            forward = self._scaled(Role.SPEED, "m/s") * self.spacing
+            spans = Role.HEADING in roles or Role.YAW in roles
+            forward = self._scaled(Role.SPEED, "m/s") * (self.spacing if spans else self.lasted)
         if Role.ANGLE in roles:
             turn = self._since_before(self._in_degrees_if_fast(Role.ANGLE, "rad"))
         elif Role.TURN_RATE in roles or Role.YAW_RATE in roles:
             role = Role.TURN_RATE if Role.TURN_RATE in roles else Role.YAW_RATE
-            turn = self._in_degrees_if_fast(role, "rad/s") * self.spacing
+            turn = self._in_degrees_if_fast(role, "rad/s") * self.lasted
         else:
             heading = self._heading()
             turn = se2.wrap_angle(np.diff(heading, prepend=heading[:1]))

@@ -139,6 +139,8 @@ class Frames:
             self._present.reset_monitors()
         elif own.loss is not None:
             self._lose(recovery, own.loss, own.jump)
+        elif found := recovery.seek_elsewhere(own, self.slam, self._present.grid):
+            self._go_on_at(recovery, found)
         elif recovery.is_due():
             if recovery.is_lost:
                 found = recovery.seek(sensor)

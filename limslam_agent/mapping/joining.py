@@ -20,6 +20,7 @@ from limslam_agent.places.other_map import Meeting, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel
+from limslam_agent.slam.core.motion import unknown_of, unsteadiness
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
@@ -298,7 +299,7 @@ class JoiningMapper(Mapper):
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
         self._use(slam, grid)
         slam.ticks[:] = [mapper.slam.ticks[0] for mapper in self._alone]
-        self._waiting = WaitingTravel(2)
+        self._waiting = WaitingTravel(2, unsteadiness(self.robot))
         odometry = np.array([row[2] for row in self._rows])
         odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])
         self.earlier, self.odometry = Earlier(poses, smoothed.covariances, odometry), odometry[-1]
@@ -342,6 +343,7 @@ class JoiningMapper(Mapper):
             slam.closures,
             sensor=slam.sensor,
             yaw=yaw[:, None],
+            wheel_variances=np.array([unknown_of(step.observation) for step in steps])[:, None],
         )
 
     def _check_joining(self) -> None:

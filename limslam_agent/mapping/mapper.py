@@ -19,10 +19,11 @@ from limslam_agent.places.other_map import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.slam.consistent.limits import RESTART_WITHIN
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import check_travel, longest_travel
+from limslam_agent.slam.core.motion import check_travel, longest_travel, unsteadiness
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.chance import LIMIT
 from limslam_agent.status.rays import Sight, wall_points
@@ -31,11 +32,6 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import check_poses, floats
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
-
-RESTART_WITHIN = 1800
-"""Number of first steps within which a mapper begins again when the SLAM finds errors of odometry
-or sensor.
-"""
 
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
@@ -166,7 +162,7 @@ class Mapper(Frames):
         self._recovery, self._lookup = self._new_recovery(), None
         if self._prior_map is not None:
             self._lookup = Lookup(self._prior_map, self.robot, self.config, len(starts))
-        self._waiting = WaitingTravel(len(starts))
+        self._waiting = WaitingTravel(len(starts), unsteadiness(self.robot))
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)

@@ -14,6 +14,7 @@ from limslam_agent.places.localisation import is_far
 from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.front_end import yaw_of
+from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
 from limslam_agent.status.rays import Sight, rays_of
@@ -64,7 +65,7 @@ class Renewal:
             list[FloatArray](),
         )
         self._rows: list[
-            tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray, float]
+            tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray, float, list[float]]
         ] = []
         self._start: MapState | None = None
         self._associations = self._closures = self._first_step = (
@@ -87,6 +88,7 @@ class Renewal:
                 self._slam.pose,
                 self._slam.covariance,
                 yaw_of(observation),
+                unknown_of(observation),
             )
         )
 
@@ -199,7 +201,7 @@ class Renewal:
         from limslam_agent.slam.line_graph.renewal import renewed
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        wheels, ranges, usable, poses, covariances, yaw = (
+        wheels, ranges, usable, poses, covariances, yaw, unknown = (
             np.array(each) for each in zip(*self._rows, strict=True)
         )
         settings = self._config.run_smoothing
@@ -224,5 +226,6 @@ class Renewal:
             sensor=self._slam.sensor,
             ticks=self._slam.ticks,
             yaw=yaw[:, None],
+            wheel_variances=unknown[:, None],
         )
         return renewed(self._start, stretch, settings)

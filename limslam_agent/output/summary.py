@@ -21,6 +21,8 @@ building.
 _SENSOR = {
     "delay_s": ("ranges are {:.2f} s later than the wheels", 1.0),
     "bias_m": ("ranges are {:.1f} cm too long", 100.0),
+    "scale": ("ranges are {:.1f} % too long", 100.0),
+    "scale_std": ("the map may be {:.1f} % too large or too small", 200.0),
     "noise_m": ("noise of {:.1f} cm", 100.0),
     "noise_growth_per_m": ("further noise of {:.1f} cm at 1 m", 100.0),
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),

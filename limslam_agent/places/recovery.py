@@ -91,6 +91,8 @@ class Recovery:
         self.slips: list[tuple[int, int]] = []
         self.records: list[dict[str, Any]] = []
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
+        # since when a robot may have been carried away, and the search for where it is then
+        self._doubt: tuple[int, PlaceSearch] | None = None
 
     @property
     def is_lost(self) -> bool:
@@ -155,6 +157,8 @@ class Recovery:
             self.absence.search.drive(step.motion)
             if self.is_lost:
                 return
+        elif self._doubt is not None:
+            self._doubt[1].drive(step.motion)
         if not self._copies or self.log.end % _CHECKPOINT == 0:
             young = [each for each in self._copies if each.step > self.log.end - LONGEST_ABSENCE]
             kept = young[: _CHECKPOINTS // 2] if is_suspicious else []
@@ -170,12 +174,13 @@ class Recovery:
         nothing any more.
         """
         self._copies = []
+        self._doubt = None
         kept = poses[max(len(poses) - len(self.log.steps), 0) :]
         self.log.move(self.log.end - len(kept), kept)
         if self.absence is not None:
             self.absence.search.latest = None
 
-    def lose(self, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
+    def lose(self, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> Absence:
         """The robot is lost, and the odometry has jumped by a distance, m.
 
         A robot whose place was found and is wrong goes back to the frame as it was before, and to
@@ -200,6 +205,7 @@ class Recovery:
         before.search.begin_anew()
         self._copies = []
         self.note_event("lost", step=before.first, reason=loss.status.reason)
+        return before
 
     def _lost_from(
         self, first: int, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid
@@ -308,6 +314,30 @@ class Recovery:
             near = drift_fit(place, rays, absence.covariance).fit
             found = absence.search.seek(rays, FAR_SHARE, [near], may_be_bent=True)
         return None if found is None else self._placement(absence, rays, found, sensor)
+
+    def seek_elsewhere(
+        self, own: StatusMonitor, slam: LineSlam, grid: OccupancyGrid
+    ) -> Placement | None:
+        """The placement of a robot that may have been carried away, if its readings since then fit
+        at another place than the believed one, and there only.
+
+        Where the map of that time ends, readings near the believed pose decide nothing.
+        """
+        doubt, sensor = own.doubt, slam.range_sensor
+        if self.absence is not None or doubt is None or not doubt.is_carried:
+            self._doubt = None
+            return None
+        first = self.log.end - 1 - doubt.ago
+        if self._doubt is None or self._doubt[0] != first:
+            known = known_before(self._copies, first, 1)
+            if known is None:
+                return None
+            self._doubt = first, PlaceSearch(known.places)
+        search, rays = self._doubt[1], rays_of(self.log.since(first), self._robot, sensor)
+        found = search.seek(rays, may_be_bent=False) if search.is_due else None
+        if found is None or found.fit is None or not is_far(found.fit.pose, found.middle):
+            return None
+        return self._placement(self.lose(doubt, own.jump, slam, grid), rays, found, sensor)
 
     def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that may have drifted, if its readings since then fit near the

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -92,26 +92,20 @@ def trusted_path(
 ) -> tuple[GraphResult, PathSignals]:
     """The smoothed log with its signals.
 
-    As long as it is doubtful, there are more rounds, and a path is taken whose visits agree better.
-    The path of odometry is taken if its own errors are expected to be smaller.
+    As long as it is doubtful, there are more rounds, and the path is taken that is off least
+    likely, which may be that of odometry.
     """
-    known = data.time - data.time[0], config, (data.max_range, data.range_std)
-    judged = ((found, path_signals(found, *known)) for found in rounds(data, start, config, report))
-    best = next(judged)
-    for _ in range(_MORE_ROUNDS):
-        if best[1].status.level == "ok":
-            break
-        other = next(judged, best)
-        if best[1].is_worse_than(other[1]):
-            best = other
-    if best[1].status.level == "ok":
-        return best
+    known, found = (data.time - data.time[0], config, (data.max_range, data.range_std)), []
+    for path in islice(rounds(data, start, config, report), 1 + _MORE_ROUNDS):
+        found.append((path, path_signals(path, *known)))
+        if found[-1][1].status.level == "ok":
+            return found[-1]
     blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
-    path = odometry_trajectory(best[0].keys, start)
-    odometry = replace(blind, keys=best[0].keys, trajectory=path)
-    signals = path_signals(odometry, *known)
-    signals = replace(signals, covariances=path_signals(blind, *known).covariances)
-    return (odometry, signals) if signals.position_std < best[1].position_std else best
+    keys = found[0][0].keys
+    path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
+    covariances = path_signals(blind, *known).covariances
+    found.append((path, replace(path_signals(path, *known), covariances=covariances)))
+    return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:
@@ -201,6 +195,7 @@ def smoothed_by_lines(
         slips=tuple((0, *part) for part in places.slips),
         sensor=replay.sensor,
         yaw=None if log.yaw is None else log.yaw[:, None],
+        wheel_variances=None if log.wheel_variances is None else log.wheel_variances[:, None],
     )
     found = smooth_run(run, config, placed)
     if found is None:
@@ -246,7 +241,8 @@ def draw_grid(
 
 
 def _line_figures(found: SmoothedRun, *, has_heading: bool) -> dict[str, Any]:
-    *errors, bias = [0.0] * 4 if found.calibration is None else found.calibration[0].tolist()
+    known = found.calibration
+    *errors, bias, scale = [0.0] * 5 if known is None else known[0].tolist()
     if has_heading:
         size, scale, drift = errors
         figures = {
@@ -261,7 +257,7 @@ def _line_figures(found: SmoothedRun, *, has_heading: bool) -> dict[str, Any]:
             "smoothed_right_wheel": 1.0 + right,
             "smoothed_axle": 1.0 + axle,
         }
-    return {**figures, "smoothed_range_bias_m": bias}
+    return {**figures, "smoothed_range_bias_m": bias, "smoothed_range_scale": 1.0 + scale}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:

@@ -34,7 +34,6 @@ from limslam_env.geometry import FloatArray, IntArray
 # and in a wrong one: readings beside edges and thin obstacles are contradicted in a right path, too
 _RIGHT, _WRONG = 0.06, 0.135
 _LEAST_TIES = 2  # loops that span a break of odometry: a single one may be wrong
-_ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, none is contradicted
 
 
 @dataclass(frozen=True)
@@ -80,7 +79,7 @@ class PathSignals:
         covariances[:, :2, :2] = self.covariances
         far = float(chance_off(covariances).mean())
         mistaken = chance_mistaken(self.evidence)
-        chance, reasons = float(either(far, mistaken)), []
+        chance, reasons = either(far, mistaken), []
         if self.untied:
             times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
             reasons.append(
@@ -110,15 +109,6 @@ class PathSignals:
         """That places were taken for each other, by the points that other visits contradict."""
         seen = self.points * (self.confirmed + self.contradicted)
         return rate_evidence(self.points * self.contradicted, seen, _RIGHT, _WRONG)
-
-    def is_worse_than(self, other: "PathSignals") -> bool:
-        """Whether visits agree better in another path of the same log, in which nearly as many
-        points are confirmed.
-        """
-        return (
-            other.contradicted_share < self.contradicted_share
-            and other.confirmed > _ENOUGH * self.confirmed
-        )
 
     @property
     def figures(self) -> dict[str, Any]:

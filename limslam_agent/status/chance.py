@@ -39,7 +39,7 @@ def chance_off(covariances: FloatArray) -> FloatArray:
     variances = 0.5 * (x + y)[..., None] + apart * np.cos(_ANGLES)
     far = np.exp(-0.5 * FAR**2 / np.maximum(variances, _LEAST)).mean(axis=-1)
     turned = np.sqrt(0.5 * TURNED**2 / np.maximum(covariances[..., 2, 2], _LEAST))
-    return either(far, np.vectorize(math.erfc, otypes=[float])(turned))
+    return np.asarray(1.0 - (1.0 - far) * (1.0 - np.vectorize(math.erfc, otypes=[float])(turned)))
 
 
 def chance_mistaken(evidence: float) -> float:
@@ -49,9 +49,9 @@ def chance_mistaken(evidence: float) -> float:
     return 0.5 + 0.5 * math.tanh(0.5 * (evidence - _MISTAKEN))
 
 
-def either(one: FloatArray, other: FloatArray) -> FloatArray:
+def either(one: float, other: float) -> float:
     """The chance of at least one of two independent causes."""
-    return np.asarray(1.0 - (1.0 - one) * (1.0 - other))
+    return 1.0 - (1.0 - one) * (1.0 - other)
 
 
 def in_words(chance: float, covariance: FloatArray, what: str = "the pose") -> str:

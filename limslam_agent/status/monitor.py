@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
+from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.chance import chance_mistaken, chance_off, either, in_words
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
@@ -34,6 +35,7 @@ SPACING, TURN_LENGTH = 0.10, 0.40
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
+_MAX_TURN = 0.5  # rad: so it is if the standard deviation of the turn in a step is larger
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
 
 BLIND = 300
@@ -137,8 +139,11 @@ class StatusMonitor:
 
         x, y, turn = sight.motion.tolist()
         distance = math.hypot(x, y)
-        is_jump = distance > _MAX_JUMP
+        # Where a motion is not known, its standard deviations count, too.
+        unknown = math.sqrt(sum(unknown_of(sight.observation)))
+        is_jump = distance > _MAX_JUMP or unknown > _MAX_TURN * self._robot.axle
         if is_jump:
+            distance = max(distance, unknown)
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
         self._sights.append(sight)
@@ -231,7 +236,7 @@ class StatusMonitor:
             self.by_readings = self.loss.status
         suspicion, by_covariance = self._changes.suspicion, float(chance_off(covariance))
         self.mistaken = 0.0 if suspicion is None else chance_mistaken(suspicion.evidence)
-        chance = float(either(by_covariance, self.mistaken))
+        chance = either(by_covariance, self.mistaken)
         is_mistaken = self.mistaken > by_covariance
         reason = CARRIED.reason if is_mistaken else in_words(chance, covariance)
         is_lost = self.by_readings.level == "lost"
@@ -244,7 +249,15 @@ class StatusMonitor:
                 Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0
             )
         found = self._changes.suspicion
-        if found is None or not found.is_certain:
+        return self.doubt if found is not None and found.is_certain else None
+
+    @property
+    def doubt(self) -> Loss | None:
+        """Why the robot is lost, and since when, if what is doubtful now is true; None without a
+        doubt.
+        """
+        found = self._changes.suspicion
+        if found is None:
             return None
         # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
         change, ago = found.change, self._step - found.change.step

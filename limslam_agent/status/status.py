@@ -138,7 +138,7 @@ def smoothed_status(
     far = float(chances.max())
     worst = covariances[np.unravel_index(chances.argmax(), chances.shape)]
     words = share if mistaken > far else in_words(far, worst, "a pose of the path")
-    return judged(float(either(far, mistaken)), words)
+    return judged(either(far, mistaken), words)
 
 
 def lost_since(time: FloatArray, unplaced: int | None) -> float | None:

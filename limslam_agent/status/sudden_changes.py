@@ -13,6 +13,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -164,30 +165,38 @@ class SuddenChanges:
         """
         begin = max(self._changes[0].step, first)
         rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
-        since, kept, before = steps + begin, list[Change](), self.suspicion
-        self.suspicion = None
-        for change in self._changes:
+        since, doubted = steps + begin, None if self.suspicion is None else self.suspicion.change
+        self.suspicion, kept, least = None, list[Change](), DOUBTED
+        # A pose near the believed one takes long to find, and only makes a change less likely. So
+        # the likeliest change of the last time comes first, and less likely ones need no such pose.
+        for change in sorted(self._changes, key=lambda each: each is not doubted):
             change.known.sensor = known.sensor
             later = change.known.counting(rays[since >= change.step])
             here = change.known.explained(later)
-            found = self._carried(change, later, here, covariance)
-            slipped = self._slipped(change, later, here, covariance)
-            if slipped is not None and slipped.evidence >= found.evidence:
-                found = slipped
-            was_doubted = before is not None and before.change is change
-            is_doubted = found.evidence >= (-DOUBTED if was_doubted else DOUBTED)
-            if is_doubted and (self.suspicion is None or found.evidence >= self.suspicion.evidence):
-                self.suspicion = found
+            found = self._carried(change, later, here, covariance, least)
+            slipped = self._slipped(change, later, here, covariance, max(least, found.evidence))
+            found = slipped or found
+            is_doubted = found.evidence >= (-DOUBTED if change is doubted else DOUBTED)
+            if is_doubted and (self.suspicion is None or found.evidence >= least):
+                self.suspicion, least = found, max(DOUBTED, found.evidence)
             if is_doubted or place - change.place <= WINDOW:
                 kept.append(change)
-        self._changes = kept[-_CHANGES:]
+        self._changes = sorted(kept, key=attrgetter("step"))[-_CHANGES:]
 
     def _carried(
-        self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray
+        self,
+        change: Change,
+        later: FloatArray,
+        here: Explained,
+        covariance: FloatArray,
+        least: float,
     ) -> Suspicion:
-        """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
+        """That the robot is elsewhere since a change, by the rays (n, 7) since then.
+
+        The evidence of less than ``least`` is too large if the robot has drifted.
+        """
         evidence = change.evidence - float(here.evidence.sum())
-        if evidence >= DOUBTED:  # or it has drifted
+        if evidence >= least:  # or it has drifted
             near = drift_fit(change.known, later, covariance)
             there = max(
                 -near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested)
@@ -197,10 +206,15 @@ class SuddenChanges:
         return Suspicion(change, evidence, is_certain=evidence >= UNLIKELY and others >= DECIDED)
 
     def _slipped(
-        self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray
+        self,
+        change: Change,
+        later: FloatArray,
+        here: Explained,
+        covariance: FloatArray,
+        least: float,
     ) -> Suspicion | None:
         """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is
-        not certain.
+        not certain, or has less evidence than ``least``.
 
         Readings on unknown ground may fit a turned map by chance. So one of them must contradict
         the believed pose, and those after it must not clearly fit there.
@@ -209,8 +223,9 @@ class SuddenChanges:
         if not len(contradicting) or here.evidence[contradicting[-1] + 1 :].sum() > _SUPPORTED:
             return None
         slip = slip_fit(change.known, later)
+        least = max(least, DECIDED)
         evidence = slip.evidence - float(here.evidence.sum())
-        if evidence < DECIDED:
+        if evidence < least:
             return None
         drifted = drift_fit(change.known, later, covariance, slip.fit.pose[None])
         evidence = min(evidence, slip.evidence - drifted.evidence)
@@ -218,7 +233,7 @@ class SuddenChanges:
         others = _without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
         return (
             Suspicion(change, evidence, is_certain=True, is_slip=True)
-            if min(evidence, others) >= DECIDED
+            if evidence >= least and others >= DECIDED
             else None
         )
 

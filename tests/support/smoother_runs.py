@@ -68,5 +68,5 @@ def state_from_motions(problem):
     """The state without lines that follows from the reported wheel travel, and from where robots
     were carried.
     """
-    nothing, calibration = np.zeros((0, 2)), np.zeros((len(problem.starts), 4))
+    nothing, calibration = np.zeros((0, 2)), np.zeros((len(problem.starts), 5))
     return moved(problem, problem.motions(calibration), nothing, nothing, calibration)

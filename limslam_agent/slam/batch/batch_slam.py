@@ -363,11 +363,11 @@ def accept(
     )
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
-    noise, rays = (settings.std, settings.growth), np.empty((len(ranges), 6))
-    steps.clear(
-        walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays
-    )
     if steps.is_due(travel, hits, spec.sides, settings):
+        noise, rays = (settings.std, settings.growth), np.empty((len(ranges), 6))
+        steps.clear(
+            walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays
+        )
         if ekf.counts[tables.CLONES] == len(ekf.clones):
             walls.tally[tables.OVERFLOWS] += 1
             steps.prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)

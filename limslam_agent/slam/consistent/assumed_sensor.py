@@ -19,6 +19,11 @@ LEAST_BIAS, LEAST_ANGLE, LEAST_DELAY = 2e-3, math.radians(0.25), 0.1
 differ by less are as assumed.
 """
 
+LEAST_SCALE, _SURE = 5e-3, 3.5
+"""The same for a scale, a share; and the standard deviations by which the size of the wheels must
+differ.
+"""
+
 
 class AssumedSensor:
     """The sensor that is assumed, and the residuals since then.
@@ -106,6 +111,21 @@ class AssumedSensor:
         if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.delay_evidence < gate:
             return None
         return self.sensor._replace(delay=min(delay + further, LONGEST))
+
+    def scaled(self, size: float, std: float, prior: float) -> RangeSensor | None:
+        """The sensor with another scale, if the wheels seem to be larger by ``size``, a share.
+
+        Larger wheels and longer ranges show the same, a larger building: the readings tell the sum
+        of both alone, here with the standard deviation ``std``. So the sum is divided as the
+        variances of both are before the drive; ``prior`` is the standard deviation of the wheels'
+        size. What each of them may have more, and the other one less, remains unknown.
+        """
+        sensor, own = self.sensor, self._config.scale_std
+        both = math.hypot(own, prior)
+        change = (own / both) ** 2 * (size + sensor.scale) - sensor.scale if own else 0.0
+        if abs(change) < LEAST_SCALE or abs(size) < _SURE * std:
+            return None
+        return sensor._replace(scale=sensor.scale + change, scale_std=own * prior / both)
 
     def _turned(self, errors: RangeErrors) -> RangeSensor | None:
         """The sensor with other directions of its beams, if the readings require that.

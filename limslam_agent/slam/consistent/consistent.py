@@ -185,6 +185,15 @@ class ConsistentEstimator(Estimator):
         return np.asarray(errors.turns + np.column_stack((turns, np.zeros(len(turns)))))
 
     @property
+    def covariances(self) -> FloatArray:
+        """Covariance of each robot's pose (n, 3, 3), also by what is unknown of the map's size."""
+        found, std = super().covariances, self.sensor.scale_std
+        if std:
+            away = std * (self.poses - self._start) * (1.0, 1.0, 0.0)
+            found += away[:, :, None] * away[:, None]
+        return found
+
+    @property
     def is_renewable(self) -> bool:
         """Whether pose and map can be replaced: those of a single robot."""
         return len(self.robots) == 1
@@ -294,11 +303,12 @@ class ConsistentEstimator(Estimator):
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Collect the new readings of a robot, and process each side that has enough of them."""
         del motion
-        self._clear_along_beams(number, front)
         travel, settings = self._travel[number], self.settings
         own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
         pending, fill = self._pending[own], self._fill[own]
         if is_due(travel, front.hits, self._sides, settings):
+            # A robot that stands sees nothing new: neither what beams end on nor what they pass.
+            self._clear_along_beams(number, front)
             clone = self.filter.clone(number)
             collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
         for side in range(len(SIDES)):
@@ -381,9 +391,23 @@ class ConsistentEstimator(Estimator):
         """Take the sensor's errors as estimated, if the readings say that they are not as
         assumed.
         """
-        found = self._sensor.correction(self.filter.range_errors)
+        found = self._sensor.correction(self.filter.range_errors) or self._scaled()
         if found is not None:
             self.assume(found)
+
+    def _scaled(self) -> RangeSensor | None:
+        """The sensor with another scale, if the wheels of the only robot seem to have another
+        size. That is found while the mapper can begin anew: it does not correct the state.
+        """
+        is_early = self.is_renewable and self.robots[0].step < limits.RESTART_WITHIN
+        found = self.filter.calibration() if is_early else None
+        if found is None:
+            return None
+        wheels = np.array([1.0, 0.0, 0.0] if self._with_heading else [0.5, 0.5, 0.0])
+        prior = cast(ConsistentConfig, self.config.estimator).self_calibration.size_std
+        return self._sensor.scaled(
+            float(wheels @ found[0]), float(wheels @ found[1] @ wheels) ** 0.5, prior
+        )
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""

@@ -83,3 +83,8 @@ MAX_GAP = 0.30
 
 THROUGH_TOLERANCE = 1.0
 """Largest number of beams that passed for each beam that hit, where a wall is drawn."""
+
+RESTART_WITHIN = 1800
+"""Number of first steps within which a mapper begins again when the SLAM finds errors of odometry
+or sensor.
+"""

@@ -21,9 +21,12 @@ def tick_by(tick: float, travel: float) -> float:
     """The tick of an encoder, m: the greatest length of which all travels are multiples.
 
     ``tick`` is the result for the travels before, at first 0, and ``travel`` is the next one, m.
-    The tick is negative while all travels were the same, since one travel says nothing of it.
+    The tick is negative while all travels were the same, since one travel says nothing of it. Nor
+    does a wheel that stands: it may as well drive at one exact speed in between.
     """
     known, rest = abs(travel), abs(tick)
+    if known <= _FINEST:
+        return tick
     if rest <= _FINEST or abs(known + tick) <= _FINEST:
         return -known
     while rest > _FINEST:

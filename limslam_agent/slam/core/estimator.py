@@ -22,7 +22,7 @@ from limslam_agent.slam.core.diagnostics import (
 from limslam_agent.slam.core.encoder_ticks import first_jitter, known_jitter, tick_by
 from limslam_agent.slam.core.front_end import FrontEnd, yaw_of
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import Calibration, Motion, motion_of, steered
+from limslam_agent.slam.core.motion import Calibration, Motion, motion_of, steered, unknown_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.turn_meter import TurnMeter
 from limslam_env.geometry import BoolArray, FloatArray
@@ -337,7 +337,9 @@ class Estimator:
         """A motion with the jitter by the ticks, which are found by its travel, too."""
         before, axle, covariance = self.ticks[number].tolist(), self.robot.axle, motion.covariance
         if (
-            "wheels" in observation and not self.range_sensor.delay
+            "wheels" in observation
+            and "wheel_variances" not in observation
+            and not self.range_sensor.delay
         ):  # else parts of the travel may wait for the ranges
             self.ticks[number] = [
                 tick_by(*each)
@@ -362,8 +364,9 @@ class Estimator:
         if meter is None or "wheels" not in observation:
             return motion
         wheels = np.asarray(observation["wheels"], dtype=float)
-        turn = meter.step(yaw_of(observation), wheels)
-        return steered(motion, wheels, turn, self.config.noise)
+        more = sum(unknown_of(observation))
+        turn = meter.step(yaw_of(observation), wheels, more)
+        return steered(motion, wheels, turn, self.config.noise, more)
 
     def _drop_beams_on_robots(self) -> None:
         """Drop the beams of each robot that may end on another one, and must not become walls.

@@ -47,14 +47,18 @@ def behind(poses: FloatArray, waiting: FloatArray, axle: float) -> FloatArray:
 class WaitingTravel:
     """The travel of the wheels of n robots that waits for late ranges.
 
+    The mean square of how much the travel of a wheel changes from step to step is ``unsteady``,
+    m^2.
+
     Attributes
     ----------
     travel
         Travel (n, 2) that waits, m.
     """
 
-    def __init__(self, robots: int) -> None:
+    def __init__(self, robots: int, unsteady: float = 0.0) -> None:
         self._totals = [np.zeros((robots, 2))]
+        self._last, self._missing, self._unsteady = self._totals[0], np.zeros((robots, 2)), unsteady
         self._given = self.travel = self._totals[0]
         self._yaw: list[FloatArray] = []
 
@@ -68,6 +72,7 @@ class WaitingTravel:
         """
         if not (observations and all("wheels" in seen for seen in observations)):
             return observations
+        observations = self._driven(observations)
         total = self._totals[-1] + np.array([seen["wheels"] for seen in observations], dtype=float)
         self._totals = [*self._totals[-int(LONGEST) - 1 :], total]
         yaw = np.array([yaw_of(seen) for seen in observations])
@@ -82,6 +87,22 @@ class WaitingTravel:
         return [
             _waited(seen, travel, yaw)
             for seen, travel, yaw in zip(observations, self._given - before, headings, strict=True)
+        ]
+
+    def _driven(self, observations: Sequence[Observation]) -> Sequence[Observation]:
+        """The observations with the travel of wheels whose travel is not known: they go on at their
+        last speed.
+        """
+        wheels = np.array([seen["wheels"] for seen in observations], dtype=float)
+        is_missing = np.isnan(wheels)
+        self._last = np.where(is_missing, self._last, wheels)
+        self._missing = np.where(is_missing, self._missing + 1.0, 0.0)
+        variances = self._unsteady * self._missing**2
+        return [
+            Observation(**{**seen, "wheels": moved, "wheel_variances": more})
+            if more.any()
+            else seen
+            for seen, moved, more in zip(observations, self._last, variances, strict=True)
         ]
 
 

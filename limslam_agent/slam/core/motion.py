@@ -3,6 +3,7 @@ odometry.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -28,6 +29,9 @@ is refused.
 
 LARGEST_MOTION = 1000.0
 """Largest motion in one step, m or rad, that is computed with."""
+
+UNSTEADY = 0.2
+"""A robot's speed changes by as much as its largest one in the inverse of this time, 1/s."""
 
 _SURE_TURN = 4.0  # in standard deviations: a smaller turn may be noise only
 
@@ -126,15 +130,15 @@ def motion_from_wheels(wheels: FloatArray, robot: RobotSpec, noise: NominalNoise
 
 
 def wheel_motion(
-    wheels: FloatArray, axle: float, wheel_variance: float
+    wheels: FloatArray, axle: float, wheel_variance: float, more: Sequence[float] = (0.0, 0.0)
 ) -> tuple[FloatArray, FloatArray]:
     """The increment (3,) of :func:`motion_from_wheels`, and its covariance (3, 3). A batch compiles
-    this function.
+    this function. The variances of the travel are larger by ``more`` (2,), m^2.
     """
     distance, turn = wheels_to_arc(wheels, axle)
     by_arc, covariance = arc_derivatives(distance, turn), np.zeros((3, 3))
-    for travel, by_turn in ((float(wheels[0]), -1.0 / axle), (float(wheels[1]), 1.0 / axle)):
-        variance = wheel_variance * abs(travel) + LEAST_VARIANCE
+    for wheel, by_turn in ((0, -1.0 / axle), (1, 1.0 / axle)):
+        variance = wheel_variance * abs(float(wheels[wheel])) + LEAST_VARIANCE + more[wheel]
         by_travel = [0.5 * by_distance + by_turn * by_heading for by_distance, by_heading in by_arc]
         for i in range(3):
             for j in range(3):
@@ -166,11 +170,17 @@ def motion_from_odometry(odometry: FloatArray, config: OdometryConfig) -> Motion
     return Motion(increment, covariance)
 
 
-def steered(motion: Motion, wheels: FloatArray, turn: Turn, noise: NominalNoise) -> Motion:
-    """The motion of wheels that travel (2,), m, with the turn by a heading sensor."""
+def steered(
+    motion: Motion, wheels: FloatArray, turn: Turn, noise: NominalNoise, more: float = 0.0
+) -> Motion:
+    """The motion of wheels that travel (2,), m, with the turn by a heading sensor. The variances of
+    both wheels are larger by ``more`` in all, m^2.
+    """
     left, right = float(wheels[0]), float(wheels[1])
     distance = 0.5 * (left + right)
-    variance = 0.25 * noise.wheel_variance * (abs(left) + abs(right)) + 0.5 * LEAST_VARIANCE
+    variance = 0.5 * LEAST_VARIANCE + 0.25 * (
+        noise.wheel_variance * (abs(left) + abs(right)) + more
+    )
     by_arc = arc_jacobian(distance, turn.angle)
     covariance = (by_arc * np.array([variance, turn.variance])) @ by_arc.T
     # The covariance of a standing robot stays regular.
@@ -243,10 +253,24 @@ def motion_of(
         If it reports neither of them, or numbers that are not finite or above ``LARGEST_MOTION``.
     """
     if "wheels" in observation:
-        return motion_from_wheels(_numbers(observation["wheels"], 2, "wheels"), robot, noise)
+        wheels = _numbers(observation["wheels"], 2, "wheels")
+        return Motion(
+            *wheel_motion(wheels, robot.axle, noise.wheel_variance, unknown_of(observation))
+        )
     if "odometry" in observation:
         return motion_from_odometry(_numbers(observation["odometry"], 3, "odometry"), odometry)
     raise ValueError("an observation needs 'wheels' or 'odometry'")
+
+
+def unknown_of(observation: Observation) -> list[float]:
+    """By how much the travel of each wheel is less certain than encoders are, m^2."""
+    found: list[float] = floats(observation.get("wheel_variances", (0.0, 0.0))).tolist()
+    return found
+
+
+def unsteadiness(robot: RobotSpec) -> float:
+    """Mean square of how much a wheel's travel changes from one step to the next, m^2."""
+    return UNSTEADY * robot.max_wheel_speed**2 * robot.control_period**3
 
 
 def _numbers(values: Any, size: int, key: str) -> FloatArray:
@@ -275,7 +299,7 @@ def check_travel(observation: Observation, robot: RobotSpec, longest: float) -> 
     ValueError
         If it is not two finite numbers, or a wheel travels farther than ``longest``, m.
     """
-    if "wheels" not in observation:
+    if "wheels" not in observation or np.isnan(floats(observation["wheels"])).all():
         return
     farthest = max(map(abs, floats(observation["wheels"]).ravel().tolist()), default=0.0)
     if math.isfinite(farthest) and farthest > longest:

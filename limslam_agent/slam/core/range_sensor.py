@@ -25,6 +25,10 @@ class RangeSensor(NamedTuple):
         Half the opening angle of the beams, rad; 0 for rays.
     bias
         By what all ranges are too long, m.
+    scale
+        Further share by which all ranges are too long.
+    scale_std
+        What is unknown of the scale: its standard deviation, that of the size of the whole map.
     turns
         By what each beam is turned to the left against the robot's settings, rad; empty if no beam
         is.
@@ -41,6 +45,8 @@ class RangeSensor(NamedTuple):
     turns: tuple[float, ...] = ()
     delay: float = 0.0
     broken: tuple[int, ...] = ()
+    scale: float = 0.0
+    scale_std: float = 0.0
 
     @property
     def numbers(self) -> tuple[float, float, float]:
@@ -50,7 +56,7 @@ class RangeSensor(NamedTuple):
     @property
     def places(self) -> tuple[Any, ...]:
         """What decides where the ends of beams are drawn."""
-        return self.bias, self.turns
+        return self.bias, self.scale, self.turns
 
     def corrected(self, ranges: FloatArray, robot: RobotSpec) -> FloatArray:
         """Reported ranges (..., n_beams) as they should have been, m.
@@ -58,7 +64,7 @@ class RangeSensor(NamedTuple):
         Those that show no wall, at the sensor's limits, remain as they are, and no other one
         becomes one of them.
         """
-        if not self.bias:
+        if not (self.bias or self.scale):
             return ranges
         near, far = robot.too_near, robot.too_far
         is_wall = (ranges > near) & (ranges < far)
@@ -67,11 +73,11 @@ class RangeSensor(NamedTuple):
 
     def true(self, ranges: FloatArray) -> FloatArray:
         """Distances at which ranges are reported, m."""
-        return np.asarray(ranges - self.bias)
+        return np.asarray((ranges - self.bias) / (1.0 + self.scale))
 
     def reported(self, distances: FloatArray) -> FloatArray:
         """Ranges that are reported at distances, m."""
-        return np.asarray(distances + self.bias)
+        return np.asarray(distances * (1.0 + self.scale) + self.bias)
 
     def variances(self, ranges: FloatArray) -> FloatArray:
         """Variances of ranges (n,), m^2."""
@@ -106,6 +112,8 @@ class RangeSensor(NamedTuple):
             "growth": "noise_growth_per_m",
             "cone": "cone_rad",
             "bias": "bias_m",
+            "scale": "scale",
+            "scale_std": "scale_std",
         }
         numbers = {name: own[part] for part, name in names.items() if own[part] != assumed[part]}
         delay = {"delay_s": self.delay * period} if self.delay else {}

@@ -8,10 +8,13 @@ difference of two headings, and the wheels say how far the robot went (J. Borens
 The wheels give the turn where the IMU has no new reading, where its heading jumps, as that of a
 compass does near iron, and while the robot stands, which shows the drift alone. A heading that is
 the same as before, although the wheels have turned the robot, is the old reading again.
+
+A heading may be later than the wheels. Then its turns follow those of the wheels of some time ago
+better than those of now, and the wheels tell how far the robot has turned since then.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,6 +40,10 @@ FASTEST_DRIFT = math.radians(3.0)
 JUMP = math.radians(20.0)
 """A heading jumps if it turns by this much more, rad, than slip of both wheels explains."""
 
+
+_LAGS = 0.2 * np.arange(61)  # steps by which headings may be late
+_SMOOTHED = (1.0 - _LAGS % 1.0) ** 2 + (_LAGS % 1.0) ** 2  # variance of turns between two steps
+_LATE = 30.0  # twice the log-likelihood ratio from which on a heading is late
 
 _SURE = 3.0  # standard deviations of the wheels' turn
 
@@ -68,14 +75,22 @@ class Turn(NamedTuple):
 
 
 class TurnMeter:
-    """Measures the turns of one robot, step by step."""
+    """Measures the turns of one robot, step by step.
+
+    Attributes
+    ----------
+    lag
+        By how many steps the headings are late.
+    """
 
     def __init__(self, robot: RobotSpec, noise: NominalNoise) -> None:
         self._robot, self._noise = robot, noise
-        self._yaw, self._tick, self._still = math.nan, 0.0, 0.0
+        self._yaw, self._tick, self._still, self._resolution = math.nan, 0.0, 0.0, 0.0
+        self.lag, self._shift, self._readings = 0.0, 0.0, 0
+        self._totals, self._misfits = np.zeros(len(_LAGS) // 4), np.zeros(len(_LAGS))
         self._since_reading()
 
-    def step(self, yaw: float, wheels: FloatArray) -> Turn:
+    def step(self, yaw: float, wheels: FloatArray, more: float = 0.0) -> Turn:
         """The turn of the next step.
 
         Parameters
@@ -84,6 +99,8 @@ class TurnMeter:
             The heading after the step, rad; NaN without a reading.
         wheels
             Travel (2,) of left and right wheel in the step, m.
+        more
+            Variance of both wheels' travel in all beyond the noise of encoders, m^2.
         """
         left, right = float(wheels[0]), float(wheels[1])
         period, axle, travel = self._robot.control_period, self._robot.axle, abs(left) + abs(right)
@@ -91,8 +108,9 @@ class TurnMeter:
         self._still = 0.0 if travel else self._still + period
         self._seconds += period
         self._turned += turn
-        self._slipping += travel / axle
-        self._variance += self._noise.wheel_variance * travel / axle**2 + LEAST_VARIANCE
+        self._totals = np.append(self._totals[1:], self._totals[-1] + turn)
+        self._slipping += (travel + _SURE * math.sqrt(more)) / axle
+        self._variance += (self._noise.wheel_variance * travel + more) / axle**2 + LEAST_VARIANCE
         if math.isnan(yaw):
             return self._without_reading(turn)
         if math.isnan(self._yaw):
@@ -102,13 +120,35 @@ class TurnMeter:
         # A unit whose heading has never changed may not work at all.
         if not own and (not self._tick or abs(self._turned) > unnoticed):
             return self._without_reading(turn, math.nan if self._tick else yaw)
+        if self._seconds < 1.5 * period:
+            self._find_lag(own)
+        if not self.lag:
+            # A heading that does not change while it does in other steps has coarse steps.
+            self._tick = tick_by(self._tick, own) if own else abs(self._tick)
+        own += self._turned_since(self.lag) - self._shift
         return self._read(yaw, self._by_heading(own, turn))
+
+    def _find_lag(self, own: float) -> None:
+        """Compare how far the heading has turned in a step, rad, with the wheels before."""
+        before = self._turned_since(_LAGS + 1.0) - self._turned_since(_LAGS)
+        self._misfits += (own - before) ** 2 / _SMOOTHED
+        self._readings += 1
+        best = int(self._misfits.argmin())
+        ratio = math.log((self._misfits[0] + 1e-12) / (self._misfits[best] + 1e-12))
+        if self._readings * ratio > _LATE:
+            self.lag = float(_LAGS[best])
+
+    def _turned_since(self, steps: FloatArray | float) -> Any:
+        """How far the wheels have turned the robot in the last steps, rad."""
+        places = np.arange(len(self._totals)) - len(self._totals) + 1.0
+        return self._totals[-1] - np.interp(-np.asarray(steps), places, self._totals)
 
     def _by_heading(self, own: float, by_wheels: float) -> Turn:
         """The turn of a step in which the heading has turned, rad, since its last reading."""
-        seconds, before = self._seconds, self._resolution_variance
-        self._tick = tick_by(self._tick, own)
-        jitter = self._resolution_variance
+        seconds, before = self._seconds, self._resolution
+        self._resolution = self._resolution_variance
+        # What the wheels add to a late heading is as uncertain as their turn.
+        jitter = self._resolution + self.lag * self._variance * self._robot.control_period / seconds
         random_walk = self._noise.yaw_std**2 * seconds + LEAST_VARIANCE
         off = float(wrap_angle(own - self._turned))
         if abs(off) > JUMP + self._slipping:
@@ -117,7 +157,7 @@ class TurnMeter:
             variance = (random_walk + 2.0 * jitter) / seconds**2
             drift = off / seconds
             return Turn(0.0, LEAST_VARIANCE, jitter=jitter, drift=drift, drift_variance=variance)
-        first = max(jitter - before, 0.0)  # see ``encoder_ticks.first_jitter``
+        first = max(self._resolution - before, 0.0)  # see ``encoder_ticks.first_jitter``
         measured = self._turned + off
         return Turn(by_wheels + off, random_walk + first, measured, seconds, jitter)
 
@@ -131,7 +171,7 @@ class TurnMeter:
         return Turn(turn, LEAST_VARIANCE, jitter=self._resolution_variance + self._variance)
 
     def _read(self, yaw: float, turn: Turn) -> Turn:
-        self._yaw = yaw
+        self._yaw, self._shift = yaw, self._turned_since(self.lag)
         self._since_reading()
         return turn
 
@@ -147,8 +187,15 @@ class TurnMeter:
 
 
 def turns_of(
-    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+    robot: RobotSpec,
+    noise: NominalNoise,
+    yaw: FloatArray,
+    wheels: FloatArray,
+    more: FloatArray | float = 0.0,
 ) -> list[Turn]:
-    """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m."""
-    meter = TurnMeter(robot, noise)
-    return [meter.step(*each) for each in zip(yaw.tolist(), np.asarray(wheels), strict=True)]
+    """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m.
+    ``more`` (t,) are as in :meth:`TurnMeter.step`.
+    """
+    meter, more = TurnMeter(robot, noise), np.broadcast_to(more, len(yaw))
+    steps = zip(yaw.tolist(), np.asarray(wheels), more.tolist(), strict=True)
+    return [meter.step(*each) for each in steps]

@@ -6,7 +6,6 @@ place along a line is its distance from the anchor, m. All is plain numpy: a run
 times, and compiling would take longer than that.
 """
 
-import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -53,16 +52,11 @@ def best_lines(
     if not len(state.lines):
         return best, misfits
     low, high = ends[..., 0] - beyond, ends[..., 1] + beyond
-    for part, cosines, reached, along in _meetings(state, places, beams):
-        steep, sines = np.abs(cosines), np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
-        # The nearest point of the wall inside of the beam, as kernels.measurement.read_share has
-        # it.
-        turned = steep * math.cos(width) + sines * math.sin(width)
-        shares = np.where(sines <= math.sin(width), steep, steep / turned)
+    for part, cosines, reached, along in _meetings(state, places, beams, width):
         faces_beam = cosines < 0.0
         is_near = along >= np.where(faces_beam, low[:, POSITIVE], low[:, NEGATIVE])
         is_near &= along <= np.where(faces_beam, high[:, POSITIVE], high[:, NEGATIVE])
-        off = np.where(is_near, np.abs(reached * shares - distances[part, None]), np.inf)
+        off = np.where(is_near, np.abs(reached - distances[part, None]), np.inf)
         rows = np.arange(len(off))
         best[part] = off.argmin(axis=1)
         misfits[part, 0], off[rows, best[part]] = off[rows, best[part]], np.inf
@@ -78,13 +72,15 @@ def count_crossings(
     low: IntArray,
     hits: IntArray,
     margin: float,
-) -> tuple[IntArray, BoolArray]:
-    """Count the beams that passed through each bin (m, b) of the lines, and say which of them (k,)
-    passed through a wall.
+) -> tuple[IntArray, FloatArray]:
+    """Count the beams that passed through each bin (m, b) of the lines, and say how much each of
+    them (k,) contradicts a wall.
 
     A beam passed through a line if it reached more than ``margin`` beyond it, m along the line's
     normal. It passed through a wall if beams ended in that bin of the line, and in one of the two
-    adjacent bins on each side of it.
+    adjacent bins on each side of it. Where more beams passed than ended, those that ended are the
+    contradiction, as where somebody stood for a moment: all that passed there count as much as
+    these.
 
     Parameters
     ----------
@@ -97,25 +93,31 @@ def count_crossings(
         a line's last bin.
     """
     misses, is_wall = np.zeros_like(hits), np.zeros(hits.shape, dtype=bool)
-    through = np.zeros(len(places), dtype=bool)
     before, after = hits[:, :-4] + hits[:, 1:-3], hits[:, 3:-1] + hits[:, 4:]
     is_wall[:, 2:-2] = (hits[:, 2:-2] > 0) & (before > 0) & (after > 0)
-    for part, cosines, reached, along in _meetings(state, places, beams):
+    passed, crossed = [np.zeros(0, dtype=np.intp)], [np.zeros((2, 0), dtype=np.int64)]
+    for part, cosines, reached, along in _meetings(state, places, beams, 0.0):
         bins = np.floor(along / BIN).astype(np.int64) - low
         is_crossed = (reached + margin / np.abs(cosines) < distances[part, None]) & (bins >= 0)
         beam, line = np.nonzero(is_crossed & (bins < hits.shape[1]))
-        crossed = line, bins[beam, line]
-        np.add.at(misses, crossed, 1)
-        through[part.start + beam[is_wall[crossed]]] = True
-    return misses, through
+        passed.append(part.start + beam)
+        crossed.append(np.stack((line, bins[beam, line])))
+    line, place = np.concatenate(crossed, axis=1)
+    np.add.at(misses, (line, place), 1)
+    against, shares = np.zeros(len(places)), np.minimum(hits / np.maximum(misses, 1), 1.0)
+    np.maximum.at(against, np.concatenate(passed), (is_wall * shares)[line, place])
+    return misses, against
 
 
 def _meetings(
-    state: State, places: IntArray, beams: FloatArray
+    state: State, places: IntArray, beams: FloatArray, width: float
 ) -> Iterator[tuple[slice, FloatArray, FloatArray, FloatArray]]:
     """Some beams at a time: which, and for each of them (k,) and each line (m,), the cosine of the
     angle between beam and normal, the distance at which they meet, infinite if they do not, and
     where along the line, both in m (k, m).
+
+    Beams with half an opening angle ``width``, rad, meet a line at its nearest point inside of
+    them.
     """
     across, tangents = normal(state.lines), direction(state.lines)
     height, middle = (
@@ -128,7 +130,10 @@ def _meetings(
         cosines = ahead @ across.T
         is_met: BoolArray = np.abs(cosines) >= GRAZING
         cosines[~is_met] = 1.0
-        reached = (height - origins @ across.T) / cosines
-        along = origins @ tangents.T + reached * (ahead @ tangents.T) - middle
+        away = height - origins @ across.T
+        slants = np.arctan((ahead @ tangents.T) / cosines)
+        slants -= np.clip(slants, -width, width)
+        along = origins @ tangents.T + away * np.tan(slants) - middle
+        reached = away * np.sign(cosines) / np.cos(slants)
         reached[~is_met | (reached <= 0.0)] = np.inf
         yield part, cosines, reached, along

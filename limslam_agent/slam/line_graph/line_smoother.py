@@ -179,8 +179,8 @@ def chi_square(problem: Problem, state: State, readings: Expected, weights: Floa
     total = float(np.sum(driven**2) + np.sum(weights * read**2))
     if problem.prior is None:
         return total
-    off = state.calibration
-    return total + float(np.einsum("ni,ij,nj->", off, problem.prior, off))
+    off = state.calibration - problem.prior_calibration
+    return total + float(np.einsum("ni,ij,nj->", off, problem.information, off))
 
 
 def range_residuals(problem: Problem, readings: Expected) -> FloatArray:
@@ -220,7 +220,7 @@ class _Graph:
         unknowns = self._unknowns
         equations = self.equations = NormalEquations(unknowns.size, unknowns.order)
         self._add_motions(state)
-        self._add_readings(readings, weights)
+        self._add_readings(state, readings, weights)
         # Each line has a wide prior, which keeps its equations regular if it was read only once.
         lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
         equations.add(
@@ -292,9 +292,8 @@ class _Graph:
             )
             count = len(own)
             identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
-            self.equations.add(
-                own, identity, state.calibration, np.tile(problem.prior, (count, 1, 1))
-            )
+            off = state.calibration - problem.prior_calibration
+            self.equations.add(own, identity, off, np.tile(problem.information, (count, 1, 1)))
         white, width = problem.whitened(jacobian), jacobian.shape[-1]
         self.equations.add(
             columns.reshape(-1, width),
@@ -302,7 +301,7 @@ class _Graph:
             problem.whitened(errors).reshape(-1, 3),
         )
 
-    def _add_readings(self, readings: Expected, weights: FloatArray) -> None:
+    def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
         """Add the readings of lines."""
         problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
         places, roots = problem.readings.places[used], np.sqrt(weights[used])
@@ -313,8 +312,9 @@ class _Graph:
         )
         if unknowns.calibrated:
             robots = places[:, None] // problem.steps
-            columns.append(unknowns.first_calibration + unknowns.calibrated * robots + 3)
-            jacobian.append(np.ones((len(used), 1)))
+            columns.append(unknowns.first_calibration + unknowns.calibrated * robots + (3, 4))
+            lengths = problem.true(readings.ranges[used], places, state.calibration)
+            jacobian.append(np.column_stack((np.ones(len(used)), lengths)))
         errors = -range_residuals(problem, readings)[used] * roots
         self.equations.add(
             np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None]

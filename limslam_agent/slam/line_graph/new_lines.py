@@ -40,7 +40,7 @@ def with_new_lines(
     readings, beams = problem.readings, problem.beams[unexplained]
     places = readings.places[unexplained]
     origins, ahead = rays(state.flat_poses[places], beams)
-    distances = problem.true(readings, state.calibration)[unexplained]
+    distances = problem.true(readings.distances[unexplained], places, state.calibration)
     points = origins + distances[:, None] * ahead
     pairs = cKDTree(points).query_pairs(_JOINED, output_type="ndarray")
     near = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))

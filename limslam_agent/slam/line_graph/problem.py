@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
-from limslam_agent.config.consistent import SelfCalibrationConfig
+from limslam_agent.config.consistent import RangeErrorConfig, SelfCalibrationConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
@@ -35,28 +35,36 @@ run.
 """
 
 
+_KNOWN = 1e-6  # standard deviation of what remains as it is known
+
+
 def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
-    """Inverse covariance (4, 4) for standard deviations of a common error of both wheels, and of a
-    bias (m).
+    """Inverse covariance (5, 5) for standard deviations of a common error of both wheels, and of a
+    bias (m). The scale of the ranges remains as it is known.
     """
     sizes = SelfCalibrationConfig(size_std=size_std, uneven_std=0.03, axle_std=0.03)
-    return np.asarray(np.linalg.inv(block_diag(sizes.covariance, [bias_std**2])), dtype=float)
+    return _inverse(sizes.covariance, bias_std)
 
 
-CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
-"""Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle,
-bias.
+def _inverse(sizes: FloatArray, bias_std: float) -> FloatArray:
+    return np.asarray(
+        np.linalg.inv(block_diag(sizes, np.diag([bias_std**2, _KNOWN**2]))), dtype=float
+    )
+
+
+CALIBRATION_PRIOR = _calibration_prior(0.01, 0.02)
+"""Inverse covariance (5, 5) of the prior of a robot's calibration: left wheel, right wheel, axle,
+bias, scale of the ranges.
 """
 
-HEADING_PRIOR = np.asarray(
-    np.linalg.inv(block_diag(SelfCalibrationConfig().heading_covariance, [1e-6**2])), dtype=float
-)
-"""The same for a robot with a heading sensor: size of the wheels, scale, drift, bias.
+HEADING_PRIOR = _inverse(SelfCalibrationConfig().heading_covariance, _KNOWN)
+"""The same for a robot with a heading sensor: size of the wheels, scale, drift, bias, scale of the
+ranges.
 
 The bias remains as it is known.
 """
 
-RELATIVE_PRIOR = _calibration_prior(1e-6, 1e-6)
+RELATIVE_PRIOR = _calibration_prior(_KNOWN, _KNOWN)
 """The same if wheels and ranges are taken to have no common error.
 
 The deviations are so small that no readings make the common errors count in Wald's test.
@@ -169,15 +177,31 @@ class Problem:
             self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose)
         )
 
-    def true(self, readings: Readings, calibration: FloatArray) -> FloatArray:
-        """The distances (k,), m, at which readings of walls were taken, by the calibration (n,
-        4).
+    @cached_property
+    def prior_calibration(self) -> FloatArray:
+        """The likeliest calibration (5,) before the drive. That of a scale that was found is 0 in
+        all.
         """
-        biases = calibration[readings.places // self.steps, 3]
-        return np.asarray(readings.distances - biases)
+        return np.array([0.0, 0.0, 0.0, 0.0, -self.sensor.scale])
+
+    @cached_property
+    def information(self) -> FloatArray:
+        """The inverse covariance of a robot's calibration, also of a scale that was found."""
+        assert self.prior is not None  # noqa: S101 (only a calibration has one)
+        found = self.prior.copy()
+        if self.sensor.scale_std:
+            found[4, 4] = RangeErrorConfig().scale_std ** -2
+        return found
+
+    def true(self, ranges: FloatArray, places: IntArray, calibration: FloatArray) -> FloatArray:
+        """The distances (k,), m, at which ranges of walls were measured from poses with numbers
+        (k,), by the calibration (n, 5).
+        """
+        _, _, _, bias, scale = calibration[places // self.steps].T
+        return np.asarray((ranges - bias) / (1.0 + scale))
 
     def axle(self, calibration: FloatArray) -> float:
-        """The distance between the wheels (m) of a robot with a calibration (4,)."""
+        """The distance between the wheels (m) of a robot with a calibration (5,)."""
         return self.robot.axle * (1.0 if self.turns is not None else 1.0 + float(calibration[2]))
 
     @cached_property
@@ -195,7 +219,7 @@ class Problem:
         return found
 
     def motions(self, calibration: FloatArray) -> FloatArray:
-        """The measured motions (n, t - 1, 3), m, by the calibration (n, 4) of the wheels."""
+        """The measured motions (n, t - 1, 3), m, by the calibration (n, 5) of the wheels."""
         if self.turns is None:
             sizes = np.ones((len(self.wheels), 1, 3))
             sizes[:, 0, :2] += calibration[:, :2]
@@ -228,9 +252,9 @@ class State:
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2),
         m.
     calibration
-        Calibration (n, 4): relative excess of left wheel, right wheel and axle, or with a heading
-        sensor the numbers of ``HeadingCalibration``; and the bias of all ranges beside that
-        of the sensor, m.
+        Calibration (n, 5): relative excess of left wheel, right wheel and axle, or with a heading
+        sensor the numbers of ``HeadingCalibration``; and the bias, m, and the scale of all ranges
+        beside those of the sensor.
     """
 
     motions: FloatArray
@@ -257,6 +281,7 @@ def make_problem(
     sensor: RangeSensor | None = None,
     ticks: FloatArray | None = None,
     yaw: FloatArray | None = None,
+    unknown: FloatArray | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -283,8 +308,12 @@ def make_problem(
     yaw
         Headings (t, n) by inertial measurement units, rad, NaN without a reading; None without such
         sensors.
+    unknown
+        Variances (t, n, 2) of the wheels' travel beyond the noise of encoders, m^2.
     """
-    reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
+    wheels = np.asarray(wheels, dtype=float)
+    unknown = np.zeros_like(wheels) if unknown is None else unknown
+    reported = np.moveaxis(wheels, 0, 1)[:, 1:]
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
     ranges = np.asarray(ranges, dtype=float)
     fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
@@ -295,14 +324,18 @@ def make_problem(
     looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
-    ticks = ticks_of(wheels) if ticks is None else ticks
+    ticks = ticks_of(np.where(unknown, 0.0, wheels)) if ticks is None else ticks
     covariances = slip_covariances(
         robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
     )
     covariances[..., 2, 2] += ASIDE_STD**2
-    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels)
+    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels, unknown)
     if steered is None:
-        covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
+        covariances[..., [0, 1], [0, 1]] += (
+            noise.wheel_variance * np.abs(reported)
+            + LEAST_VARIANCE
+            + np.moveaxis(unknown, 0, 1)[:, 1:]
+        )
     else:
         motions[..., :2] = steered.motions
         covariances[..., :2, :2] += steered.covariances
@@ -344,19 +377,27 @@ class _Steered(NamedTuple):
 
 
 def _by_headings(
-    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray
+    robot: RobotSpec,
+    noise: NominalNoise,
+    yaw: FloatArray,
+    wheels: FloatArray,
+    unknown: FloatArray,
 ) -> _Steered:
-    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m."""
-    travel = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)
+    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m, with its
+    further variances, m^2.
+    """
+    travel, more = np.moveaxis(wheels, 0, 1), unknown.sum(axis=-1).T
     table = np.array(
         [
             [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
-            for own in (turns_of(robot, noise, *each) for each in zip(yaw.T, travel, strict=True))
+            for own in (
+                turns_of(robot, noise, *each) for each in zip(yaw.T, travel, more, strict=True)
+            )
         ]
     )
     angles, variances = table[:, 1:, 0, None, None], table[:, 1:, 1, None, None]
     distances = 0.5 * travel[:, 1:].sum(axis=-1)
-    of_distances = 0.25 * noise.wheel_variance * np.abs(travel[:, 1:]).sum(axis=-1)
+    of_distances = 0.25 * (noise.wheel_variance * np.abs(travel).sum(axis=-1) + more)[:, 1:]
     by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
     covariances = (of_distances + 0.5 * LEAST_VARIANCE)[..., None, None] * np.ones((2, 2))
     return _Steered(
@@ -410,5 +451,10 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     found = expected_readings(
         poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
     )
-    biases = state.calibration[problem.readings.places // problem.steps, 3]
-    return found._replace(ranges=found.ranges + biases)
+    *_, bias, scale = state.calibration[problem.readings.places // problem.steps].T
+    longer = 1.0 + scale
+    return found._replace(
+        ranges=found.ranges * longer + bias,
+        by_pose=found.by_pose * longer[:, None],
+        by_line=found.by_line * longer[:, None],
+    )

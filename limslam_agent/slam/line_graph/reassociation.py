@@ -33,7 +33,7 @@ from limslam_agent.slam.line_graph.line_smoother import (
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction
+from limslam_env.geometry.line import angle_between, direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
@@ -157,7 +157,10 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
     origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
-    ends = origins + problem.true(readings, state.calibration)[:, None] * ahead
+    ends = (
+        origins
+        + problem.true(readings.distances, readings.places, state.calibration)[:, None] * ahead
+    )
     for number in np.unique(labels[labels >= known]).tolist():
         points = ends[labels == number]
         lines[number - known, 1], anchors[number - known] = (
@@ -172,6 +175,8 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
 def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings of no
     line.
+
+    A beam with an opening angle meets its line at the nearest point inside of it.
     """
     used = np.flatnonzero(labels >= 0)
     poses, beams, own = (
@@ -180,6 +185,8 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
         labels[used],
     )
     lines, anchors = state.lines[own], state.anchors[own]
+    slants = angle_between(lines[:, 1] - poses[:, 2] - beams[:, 2])
+    beams[:, 2] += np.clip(slants, -problem.sensor.cone, problem.sensor.cone)
     origins, ahead = rays(poses, beams)
     ranges = expected_readings(poses, beams, lines, anchors, 0.0).ranges
     along = np.zeros(len(labels))
@@ -218,7 +225,7 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
         state,
         readings.places,
         problem.beams,
-        problem.true(readings, state.calibration),
+        problem.true(readings.distances, readings.places, state.calibration),
         ends,
         _BEYOND,
         problem.sensor.cone,

@@ -4,6 +4,8 @@ covariances.
 Beams confirm a wall where they end, and contradict it where they pass through.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from limslam_agent.kernels.tables import BIN, FEWEST, THROUGH_SIGMAS, THROUGH_SLACK
@@ -11,15 +13,19 @@ from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.crossings import count_crossings
-from limslam_agent.slam.line_graph.problem import State
-from limslam_agent.slam.line_graph.reassociation import Association, places_along
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_agent.slam.line_graph.problem import Readings, State
+from limslam_agent.slam.line_graph.reassociation import (
+    Association,
+    places_along,
+    solve_again,
+)
+from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 
 
-def tally(found: Association) -> tuple[list[WallExtent], BoolArray]:
-    """Where along each line of a solution beams ended and passed, and which of the looks (k,)
-    passed through walls.
+def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
+    """Where along each line of a solution beams ended and passed, and how much each of the looks
+    (k,) contradicts walls.
     """
     problem, state, used = found.problem, found.state, found.labels >= 0
     looks = problem.looks
@@ -35,7 +41,11 @@ def tally(found: Association) -> tuple[list[WallExtent], BoolArray]:
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
-    free = np.where(problem.is_hit, problem.true(looks, state.calibration), looks.distances)
+    free = np.where(
+        problem.is_hit,
+        problem.true(looks.distances, looks.places, state.calibration),
+        looks.distances,
+    )
     misses, through = count_crossings(
         state, looks.places, problem.look_beams, free, low, hits, margin
     )
@@ -43,6 +53,21 @@ def tally(found: Association) -> tuple[list[WallExtent], BoolArray]:
     return [
         WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)
     ], through
+
+
+def lasting(found: Association) -> Association:
+    """The optimum without the readings of what did not last, as somebody who walked by: of places
+    where more beams passed than ended.
+    """
+    along, labels = places_along(found.problem, found.state, found.labels), found.labels.copy()
+    for index, extent in enumerate(tally(found)[0]):
+        own = np.flatnonzero(labels == index)
+        bins = np.floor(along[own] / BIN).astype(np.int64) - extent.low
+        hits, misses = extent.counted[:, bins]
+        labels[own[misses > THROUGH_TOLERANCE * hits]] = -1
+    if np.array_equal(labels, found.labels):
+        return found
+    return solve_again(found.problem, found.state, labels)
 
 
 def contradictions(found: Association) -> float:
@@ -57,8 +82,10 @@ def contradictions(found: Association) -> float:
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
-    against = np.bincount(looks.beams[counts & tally(found)[1]], minlength=beams)
-    tested = np.bincount(looks.beams[counts], minlength=beams)
+    kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
+    _, weights = tally(replace(found, problem=replace(problem, looks=kept)))
+    against = np.bincount(kept.beams, weights, minlength=beams)
+    tested = np.bincount(kept.beams, minlength=beams)
     others = np.arange(beams) != against.argmax()
     return float(against[others].sum() / max(tested[others].sum(), 1))
 

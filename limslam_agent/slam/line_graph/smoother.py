@@ -29,12 +29,12 @@ from limslam_agent.slam.line_graph.problem import (
     state_from_poses,
 )
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
-from limslam_agent.slam.line_graph.smoothed_map import contradictions, smoothed_map
+from limslam_agent.slam.line_graph.smoothed_map import contradictions, lasting, smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, turned, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
-# Chi-square of the estimated errors, of which each robot has four, from which on they are taken to
+# Chi-square of the estimated errors, of which each robot has five, from which on they are taken to
 # be real. Felt by the rows "drive 4 cm" and "sharp" of the scoreboard, whose robots have no such
 # errors.
 _CALIBRATION_GATE = 40.0
@@ -83,6 +83,9 @@ class FilteredRun:
     waiting: FloatArray | None = None
     # Headings (t, n) by inertial measurement units, rad; None without such sensors
     yaw: FloatArray | None = None
+    # Variances (t, n, 2) of the wheels' travel beyond the noise of encoders, m^2; None if it is
+    # known everywhere
+    wheel_variances: FloatArray | None = None
 
     @property
     def has_headings(self) -> bool:
@@ -96,7 +99,20 @@ class FilteredRun:
         if sensor is None:
             return self
         ranges = sensor.corrected(self.ranges, self.robot)
-        return replace(self, ranges=ranges, sensor=sensor._replace(bias=0.0))
+        return replace(self, ranges=ranges, sensor=sensor._replace(bias=0.0, scale=0.0))
+
+    @property
+    def unknown(self) -> FloatArray:
+        """Variances (t, n, 2) of the wheels' travel beyond the noise of encoders, m^2, also where
+        the wheels may have slipped in any step of a part of the drive. The readings say in which.
+        """
+        given = self.wheel_variances
+        found = np.zeros(self.wheels.shape) if given is None else given.copy()
+        wheel = _FOUND_STDS[2] * self.robot.axle / math.sqrt(2.0)
+        for number, first, last in self.slips:
+            part = slice(max(first, 1), last)
+            found[part, number] += wheel**2 / max(last - part.start, 1)
+        return found
 
     @property
     def synchronous(self) -> "FilteredRun":
@@ -115,7 +131,8 @@ class FilteredRun:
         if step is None:
             return self
         rows, end = ["wheels", "ranges", "usable", "poses", "covariances"], self.first_step + step
-        rows += [name for name in ("waiting", "yaw") if getattr(self, name) is not None]
+        optional = ("waiting", "yaw", "wheel_variances")
+        rows += [name for name in optional if getattr(self, name) is not None]
         return replace(
             self,
             **{name: getattr(self, name)[:step] for name in rows},
@@ -145,9 +162,10 @@ class SmoothedRun:
     segments: FloatArray
     # The readings of each robot that lie on each landmark, by its place in ``landmarks``
     associations: list[AssociationRecord]
-    # Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified
-    # values, or with a heading sensor the numbers of ``HeadingCalibration``; and the bias of all
-    # ranges, m. None where the robots are taken to be as specified, and no bias is known.
+    # Calibration (n, 5): relative excess of left wheel, right wheel and axle over their specified
+    # values, or with a heading sensor the numbers of ``HeadingCalibration``; and the bias, m,
+    # and the scale of all ranges. None where the robots are taken to be as specified, and neither
+    # is known.
     calibration: FloatArray | None
     ranges: FloatArray  # the readings (t, n, n_beams), m, corrected for all that is known of them
     contradictions: float  # share of all looks that passed through a wall of the solution
@@ -190,12 +208,16 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
         "usable": False,
         "poses": None,
         "covariances": None,
+        "wheel_variances": 0.0,
     }
     if first.yaw is not None and second.yaw is not None:
         at_the_end["yaw"] = math.nan
     columns: dict[str, Any] = {}
     for name, value in at_the_end.items():
-        own = [getattr(run, name) for run in (first, moved)]
+        own = [
+            run.unknown if name == "wheel_variances" else getattr(run, name)
+            for run in (first, moved)
+        ]
         rest = [
             np.full((steps - len(each), *each.shape[1:]), each[-1] if value is None else value)
             for each in own
@@ -220,7 +242,6 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
         associations=[*first.associations, *seconds],
         closures=[*first.closures, *united],
         breaks=(*first.breaks, *((1, step) for _, step in second.breaks)),
-        slips=(*first.slips, *((1, begin, end) for _, begin, end in second.slips)),
         sensor=longer.sensor,
         **columns,
     )
@@ -266,13 +287,14 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         run.sensor,
         run.ticks,
         run.yaw if run.has_headings else None,
+        run.unknown,
     )
-    problem = with_breaks(with_slips(problem, run), run)
+    problem = with_breaks(problem, run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if np.count_nonzero(labels >= 0) < FEWEST:
         return None
     try:
-        best = reassociate(problem, state_from_poses(problem, run.poses), labels)
+        best = lasting(reassociate(problem, state_from_poses(problem, run.poses), labels))
         if config.calibrate == "if_needed" and not run.has_headings:
             best = _calibrated_if_needed(best, run, labels)
     except DegenerateError:
@@ -285,9 +307,11 @@ def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray
     and after it.
     """
     sized = _calibrated(found.problem)
+    if sized.sensor.scale_std:  # the size of the whole map is unknown, too
+        return reassociate(sized, found.state, labels)
     if not _has_errors(sized, solve(sized, found.state, found.labels)):
         return found
-    again = reassociate(sized, state_from_poses(sized, run.poses), labels)
+    again = lasting(reassociate(sized, state_from_poses(sized, run.poses), labels))
     return again if _has_errors(sized, again.solution) else found
 
 
@@ -304,26 +328,12 @@ def _calibrated(problem: Problem) -> Problem:
 
     What a wide beam reads, and what a sensor reads whose noise grows with the range, is known to
     some millimetres only. That looks like a common error of all sizes with a bias, so the robots of
-    such sensors have relative errors alone, unless a bias is known: a wrong one has to be
-    corrected.
+    such sensors have relative errors alone, unless a bias or a scale is known: a wrong one has to
+    be corrected.
     """
     sensor = problem.sensor
-    is_rough = (sensor.cone > 0.0 or sensor.growth > 0.0) and not sensor.bias
+    is_rough = (sensor.cone > 0.0 or sensor.growth > 0.0) and not (sensor.bias or sensor.scale_std)
     return replace(problem, prior=RELATIVE_PRIOR if is_rough else CALIBRATION_PRIOR)
-
-
-def with_slips(problem: Problem, run: FilteredRun) -> Problem:
-    """A problem in which the wheels may have slipped in any step of a part of the drive. The
-    readings say in which.
-    """
-    roots = problem.roots.copy()
-    for number, first, last in run.slips:
-        part = slice(max(first - 1, 0), last - 1)
-        covariances = np.linalg.inv(np.swapaxes(roots[number, part], -1, -2) @ roots[number, part])
-        wheel = _FOUND_STDS[2] * problem.robot.axle / math.sqrt(2.0)
-        covariances[..., [0, 1], [0, 1]] += wheel**2 / max(len(covariances), 1)
-        roots[number, part] = np.linalg.inv(np.linalg.cholesky(covariances))
-    return replace(problem, roots=roots)
 
 
 def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
@@ -388,8 +398,10 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     landmarks, segments = smoothed_map(found)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     sensor = problem.sensor
-    calibration = np.add(found.state.calibration, (0.0, 0.0, 0.0, sensor.bias))
-    sensors = [sensor._replace(bias=bias) for bias in calibration[:, 3].tolist()]
+    calibration = found.state.calibration.copy()
+    calibration[:, 3] = sensor.reported(calibration[:, 3])
+    calibration[:, 4] += sensor.scale * (1.0 + calibration[:, 4])
+    sensors = [sensor._replace(bias=bias, scale=scale) for *_, bias, scale in calibration.tolist()]
     ranges = [own.corrected(run.ranges[:, number], run.robot) for number, own in enumerate(sensors)]
     return SmoothedRun(
         ranges=np.stack(ranges, axis=1),
@@ -399,7 +411,9 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
         landmarks=landmarks,
         segments=segments,
         associations=_associations(found, landmarks, run.first_step),
-        calibration=calibration if problem.prior is not None or sensor.bias else None,
+        calibration=calibration
+        if problem.prior is not None or sensor.bias or sensor.scale
+        else None,
         contradictions=contradictions(found),
         robot=problem.robot,
     )

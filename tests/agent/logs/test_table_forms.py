@@ -431,9 +431,10 @@ def test_a_damaged_line_is_left_out_and_named(write, damage, words):
     log = read_log(write("\n".join(lines) + "\n"), table=TableOptions(ROBOT))
     assert len(log) == COUNT - 1
     np.testing.assert_allclose(log.wheels[1:49], WHEELS[1:49])
-    (note,) = log.notes
+    note, gap = log.notes
     assert note.startswith("1 damaged line was left out: line 51: ")
     assert words in note
+    assert gap.startswith("1 wheel report is missing")
 
 
 def test_a_counter_that_jumps_for_one_row_is_a_damaged_line(write):

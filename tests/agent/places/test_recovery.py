@@ -19,7 +19,7 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import final_status, score, write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.line_graph.problem import make_problem
-from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks, with_slips
+from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks
 from limslam_agent.status.monitor import CARRIED, Loss
 from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
@@ -139,7 +139,8 @@ def test_a_carried_robot_came_to_where_it_was_found_and_one_that_has_slipped_is_
     np.testing.assert_array_equal(broken.motions(larger)[0, 2], broken.motions(0.0 * larger)[0, 2])
     # Its heading is free by 10 degrees after the part in which it may have slipped, and as certain
     # as before elsewhere.
-    slipped = with_slips(problem, replace(run, slips=((0, 2, 4),)))
+    unknown = replace(run, slips=((0, 2, 4),)).unknown
+    slipped = make_problem(robot, noise, np.zeros((1, 3)), wheels, ranges, unknown=unknown)
     variances = [
         np.linalg.inv(root.T @ root)[:2, :2]
         for each in (slipped, problem)
@@ -210,6 +211,22 @@ def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode,
     assert revision.begin == 20
     mapper.finish()
     assert mapper.places.unplaced is None
+
+
+def test_a_doubt_that_the_believed_place_never_decides_is_decided_by_another_place(
+    episode, monkeypatch
+):
+    monkeypatch.setattr("limslam_agent.status.sudden_changes.UNLIKELY", np.inf)  # never certain
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    levels = []
+    for number in range(len(episode.ranges)):
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
+        levels.append(mapper.statuses[0].level)
+        if mapper.places.records:
+            break
+    assert [event["event"] for event in mapper.places.records] == ["lost", "found"]
+    assert "lost" not in levels
+    assert errors(mapper.poses[None], episode.true[number][None])[0] < 0.4
 
 
 def standing(mapper, ranges, steps):

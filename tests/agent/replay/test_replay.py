@@ -259,7 +259,16 @@ def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
 
 
 BRIEF = GraphConfig()
-SURE = PathSignals(driven=100.0, points=3000, confirmed=0.5, contradicted=0.02, position_std=0.3)
+
+
+def within(std):
+    """Covariances of positions with a standard deviation, m."""
+    return np.tile(0.5 * std**2 * np.eye(2), (3, 1, 1))
+
+
+SURE = PathSignals(
+    driven=100.0, points=3000, confirmed=0.5, contradicted=0.02, covariances=within(0.25)
+)
 
 
 def test_the_longest_stretch_without_a_loop_is_found():
@@ -274,10 +283,8 @@ def test_the_longest_stretch_without_a_loop_is_found():
     ("found", "words"),
     [
         (SURE, ""),
-        (
-            replace(SURE, confirmed=0.0, contradicted=0.0),
-            "no other visit of a place confirms what was seen",
-        ),
+        (replace(SURE, confirmed=0.0, contradicted=0.0), ""),
+        (replace(SURE, points=40, confirmed=0.4, contradicted=0.05), ""),
         (
             replace(SURE, contradicted=0.1),
             "visits of a place contradict each other at 17% of the points",
@@ -287,8 +294,11 @@ def test_the_longest_stretch_without_a_loop_is_found():
             "visits contradict what was seen more often than they confirm it after 12, 40 s",
         ),
         (
-            replace(SURE, position_std=0.7, loose=(3.0, 61.0)),
-            "positions may be 0.7 m off, as no recognised place holds the path from 3 to 61 s",
+            replace(SURE, covariances=within(0.4), loose=(3.0, 61.0)),
+            (
+                "the chance that a pose of the path is more than 0.5 m off is 21 % (standard "
+                "deviation 0.40 m), as no recognised place holds the path from 3 to 61 s"
+            ),
         ),
     ],
 )
@@ -296,11 +306,20 @@ def test_the_status_names_each_reason(found, words):
     assert (found.status.level, found.status.reason) == ("unsure" if words else "ok", words)
 
 
-def test_another_path_is_better_if_its_visits_agree_better_on_as_much():
-    wrong = replace(SURE, confirmed=0.5, contradicted=0.05)
-    assert wrong.is_worse_than(replace(wrong, confirmed=0.4, contradicted=0.03))
-    assert not wrong.is_worse_than(replace(wrong, confirmed=0.4, contradicted=0.05))
-    assert not wrong.is_worse_than(replace(wrong, confirmed=0.02, contradicted=0.0))
+def test_a_log_whose_readings_say_less_than_odometry_follows_odometry(monkeypatch):
+    data, truth = corridor_log(laps=1)
+    few = data.hit & (np.random.default_rng(0).random(data.hit.shape) < 0.003)
+
+    def stated(found, *_):
+        return replace(SURE, covariances=within(5.0 if found.kind == "odometry" else 100.0))
+
+    monkeypatch.setattr("limslam_agent.replay.smoothing.path_signals", stated)
+    found, judged = trusted_path(replace(data, hit=few), truth[0], BRIEF)
+    assert (found.kind, judged.position_std) == ("odometry", pytest.approx(5.0))
+    moved = se2.compose(found.poses[0], se2.between(data.odometry[0], data.odometry))
+    np.testing.assert_allclose(found.poses[:, :2], moved[:, :2], atol=1e-6)
+    assert len(found.keys.point_key) > 0, "its map is drawn all the same"
+    assert "that of odometry" in replay_summary({**judged.figures, "smoothed_kind": found.kind})[1]
 
 
 def test_the_summary_says_that_readings_are_few():

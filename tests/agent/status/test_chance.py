@@ -43,7 +43,7 @@ def test_a_doubt_of_the_rays_is_at_the_limit_and_a_decision_is_not():
     assert chance_mistaken(UNLIKELY) > 0.9
     assert chance_mistaken(-1e6) == 0.0
     assert chance_mistaken(1e6) == 1.0
-    assert float(either(0.1, 0.2)) == pytest.approx(0.28)
+    assert either(0.1, 0.2) == pytest.approx(0.28)
 
 
 def test_a_rate_says_more_the_more_was_tested():

@@ -8,22 +8,27 @@ import pytest
 
 from benchmarks import __main__ as command
 from benchmarks.scoreboard.board import read_board, run_scoreboard, size_of, table
+from benchmarks.scoreboard.campus import campus_beams, campus_world
 from benchmarks.scoreboard.compare import NOISE, compared, comparison_table
 from benchmarks.scoreboard.drives import recorded_drive
 from benchmarks.scoreboard.made_up_logs import (
+    as_recorded,
+    flight_log,
     known_relations,
     made_up_log,
     sparse_sensor,
     thinned,
     walls_of,
 )
-from benchmarks.scoreboard.measure import at_the_end, measure, scaled_error, while_driving
+from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, read_rows
+from benchmarks.scoreboard.scores import at_the_end, scaled_error, while_driving
 from benchmarks.scoreboard.worlds import world_of
 from benchmarks.suite.person import ranges_to
 from limslam_agent.logs.relations import relation_errors
 from limslam_env import NoiseConfig, RobotSpec
 from limslam_env.geometry import se2
+from limslam_env.geometry.segment import distances
 
 TINY = """
 tuning_seed = 3
@@ -89,7 +94,7 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
         assert 0.0 < cell["ate_smoothed_m"] < 0.3
         assert cell["status"] == "ok"
     lines = table(board)
-    assert "| 2 (2) |" in lines[4]
+    assert "| 2 (2) |" in lines[5]
     assert sum(line.startswith(("| nominal | 2 |", "| late | 1 |")) for line in lines) == 2
     found = compared(board["cells"], board["cells"])
     assert [(each.row, each.ratios["ate_m"].value) for each in found] == [
@@ -108,6 +113,19 @@ def test_an_exploration_is_measured_with_what_became_of_a_kidnapped_robot():
     assert found.metrics["placed"] in {0, 1}
     assert "ate_m" not in found.metrics
     assert found.cost.keys() == {"drive_cpu_s", "smoothing_cpu_s"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "figures"),
+    [
+        ("second drive", {"ate_m", "placed", "status"}),
+        ("two logs", {"ate_smoothed_m", "placed", "status"}),
+    ],
+)
+def test_each_kind_of_row_has_its_figures(kind, figures):
+    row = Row("one", kind, ("square",), seconds=10.0, biases=(0.05, -0.03))
+    found = measure({"one": row}, 0.0, row.cells(3)[0])
+    assert figures <= found.metrics.keys()
 
 
 def test_a_folder_is_for_one_estimator_and_one_file_of_rows(tiny, tmp_path, monkeypatch):
@@ -132,7 +150,7 @@ def test_rows_without_data_are_left_out(tmp_path, monkeypatch, tiny):
     ("text", "words"),
     [
         ("", "tuning_seed"),
-        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "flight"', "kind"),
+        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "swim"', "kind"),
         (
             'tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "drive"\nwheels = 3',
             "wheels",
@@ -241,6 +259,8 @@ def test_seconds_are_counted_by_hand_made_errors():
         "wrong_ok_s": 1.0,
         "longest_wrong_ok_s": 1.0,
         "false_alarm_s": 2.0,
+        "ok_s": 1.0,
+        "off_ok_s": 1.0,
     }
     twice = while_driving(
         time, true, estimated + np.array([0.6, 0.0, 0.0]), np.array([[0], [0], [1], [0], [0]])
@@ -383,6 +403,19 @@ def test_a_seed_gives_one_log(ring):
     again = made_up_log(1, 30.0)
     assert np.array_equal(again.ranges, ring.ranges)
     assert np.array_equal(again.odometry, ring.odometry)
+
+
+def test_a_flight_is_short_and_a_campus_is_long():
+    flight = flight_log(3, np.radians([0.0, 90.0, 180.0, -90.0]))
+    assert 4.5 < np.hypot(*np.diff(flight.truth[:, :2], axis=0).T).sum() < 15.1
+    assert as_recorded(flight, (0.0, 90.0, 180.0, -90.0), 4.0).ranges.shape[1] == 4
+    world, way = campus_world(2)
+    assert 90.0 < np.ptp(way, axis=0).max() < 250.0
+    assert 800.0 < np.hypot(*np.diff(way, axis=0).T).sum() < 2500.0
+    # The robot drives where nothing stands.
+    middles = 0.5 * (way[1:] + way[:-1])
+    assert distances(np.vstack((way, middles)), world.edges).min() > 0.25
+    assert {len(campus_beams(seed)) for seed in range(4)} == {4, 6, 11, 36}
 
 
 def test_few_readings_are_left_in_a_metre(ring):

@@ -113,6 +113,17 @@ def test_a_door_stays_open(place: tuple[float, float, float], noise: float) -> N
     assert after[0] == pytest.approx(2.0, abs=0.06)
 
 
+def test_a_robot_that_stands_opens_no_wall() -> None:
+    observations, _ = drive(CORRIDOR, np.zeros(3), straight(4.0))
+    slam, _ = slam_after(observations, CONFIG, np.zeros(3))
+    walls = slam.segments
+    missed = observations[-1]["ranges"].copy()
+    missed[:] = ROBOT.max_ranges
+    for _ in range(100):
+        slam.step(Observation(wheels=np.zeros(2), ranges=missed))
+    np.testing.assert_array_equal(slam.segments, walls)
+
+
 def test_a_wall_drawn_over_a_door_opens_when_beams_pass() -> None:
     # The door is shut on the way there, and open on the way back.
     there, way = np.zeros(3), straight(4.0)

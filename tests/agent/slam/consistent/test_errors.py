@@ -88,7 +88,9 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
     assert not by_errors[:, DELAY].any()  # it acts by the poses
     by_errors = np.delete(by_errors, DELAY, axis=1)
     np.testing.assert_allclose(
-        by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6
+        by_errors[0],
+        [1.0, wider / (2.0 * step), turned / (2.0 * step)],
+        atol=1e-6,
     )
 
 
@@ -199,6 +201,36 @@ def test_a_bias_is_no_opening_angle() -> None:
     sensor = mapped(observed(0.0, 2, bias=0.03)[0], config_of())[0].slam.sensor
     assert sensor is not None
     assert sensor.cone < 0.01
+
+
+def test_ranges_that_are_too_long_by_a_share_are_named_and_leave_the_size_unknown() -> None:
+    observations, true = observed(0.0, 2)
+    for seen in observations:
+        is_seen = seen["ranges"] < ROBOT.too_far
+        seen["ranges"] = np.where(is_seen, 1.03 * seen["ranges"], seen["ranges"])
+    mapper, poses, covariances = mapped(observations, config_of())
+    assert mapper.slam.range_sensor.scale == pytest.approx(0.8 * 0.03, abs=0.006)
+    # The readings cannot tell long ranges from large wheels, so far places are less certain.
+    far = len(poses) // 2 + int(np.hypot(*true[len(poses) // 2 :, :2].T).argmax())
+    distance = float(np.hypot(*true[far, :2]))
+    along = true[far, :2] / distance
+    assert math.sqrt(along @ covariances[far, :2, :2] @ along) > 0.008 * distance
+    sensor = mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)
+    (line,) = (each for each in record_summary({"record": {"sensor": sensor}}) if "sensor" in each)
+    assert "the map may be 1.8 % too large or too small" in line
+
+
+def test_what_shows_no_wall_is_not_corrected() -> None:
+    robot = RobotSpec()
+    sensor = RangeSensor(NOISE, bias=-0.05, scale=-0.02)
+    ranges = np.array([robot.min_ranges[0], 0.06, 1.0, robot.max_ranges[0] - 0.01, np.inf, np.nan])
+    found = sensor.corrected(ranges, robot)
+    np.testing.assert_array_equal(found[[0, 4, 5]], ranges[[0, 4, 5]])
+    assert found[2] == pytest.approx(1.05 / 0.98)
+    assert found[3] < robot.too_far[0]
+    short = RangeSensor(NOISE, bias=0.05).corrected(ranges, robot)
+    assert short[1] > robot.too_near[0]
+    assert sensor.true(sensor.reported(ranges))[2] == pytest.approx(1.0)
 
 
 def test_turned_beams_are_found_and_named() -> None:

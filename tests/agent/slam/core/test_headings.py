@@ -122,6 +122,22 @@ def test_the_steps_of_a_heading_are_jitter_that_does_not_add_up() -> None:
     assert walked == pytest.approx(NOISE.yaw_std**2 * 5.9 + step**2 / 12.0, rel=0.01)
 
 
+@pytest.mark.parametrize("late", [0, 1, 3])
+def test_headings_that_are_late_are_brought_up_to_date_by_the_wheels(late: int) -> None:
+    rates = np.random.default_rng(1).choice([-0.1, 0.0, 0.1], 12).repeat(10)
+    wheels = 0.5 * ROBOT.axle * rates[:, None] * (-1.0, 1.0) + 0.02
+    noisy = wheels + np.random.default_rng(2).normal(0.0, 5e-4, wheels.shape)
+    true = np.cumsum(rates)
+    yaw = np.append(np.zeros(late), true)[: len(true)]
+    turns = turns_of(ROBOT, NOISE, yaw, noisy)
+    off = np.cumsum([each.angle for each in turns]) - true
+    assert np.ptp(off[20:]) < 0.1
+    meter = TurnMeter(ROBOT, NOISE)
+    for each in zip(yaw.tolist(), noisy, strict=True):
+        meter.step(*each)
+    assert meter.lag == pytest.approx(late, abs=0.21)
+
+
 def test_late_ranges_delay_the_heading_as_they_delay_the_wheels() -> None:
     waiting, told = WaitingTravel(1), []
     for step in range(8):

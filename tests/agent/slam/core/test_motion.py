@@ -166,6 +166,20 @@ def test_travels_that_are_all_the_same_say_nothing_of_a_tick() -> None:
     assert tick_by(tick, 0.02) == pytest.approx(0.01)
 
 
+def test_a_wheel_that_stands_says_nothing_of_a_tick() -> None:
+    assert ticks_of(np.array([0.03, 0.0, 0.03, 0.03, 0.0]).repeat(2).reshape(-1, 1, 2)).max() <= 0.0
+
+
+def test_wheels_without_a_report_go_on_with_a_growing_variance() -> None:
+    waiting, wheels = WaitingTravel(1, 1e-5), np.full((6, 2), 0.03)
+    wheels[2:4], wheels[4:] = np.nan, 0.01
+    seen = [waiting.synchronous([{"wheels": each}], 0.0)[0] for each in wheels]
+    given = np.array([each["wheels"] for each in seen])
+    np.testing.assert_allclose(given[:, 0], [0.03, 0.03, 0.03, 0.03, 0.01, 0.01])
+    variances = [float(each.get("wheel_variances", np.zeros(2))[0]) for each in seen]
+    np.testing.assert_allclose(variances, [0.0, 0.0, 1e-5, 4e-5, 0.0, 0.0])
+
+
 def test_the_jitter_is_the_covariance_of_parts_of_ticks() -> None:
     ticks, axle = np.array([0.01, 0.004]), 0.2
     parts = np.random.default_rng(0).uniform(-0.5, 0.5, (20000, 2)) * ticks

@@ -53,8 +53,13 @@ from limslam_agent.slam.line_graph.problem import (
     expected,
     state_from_poses,
 )
-from limslam_agent.slam.line_graph.reassociation import merge, reassociate, solve_labels
-from limslam_agent.slam.line_graph.smoothed_map import smoothed_map, tally
+from limslam_agent.slam.line_graph.reassociation import (
+    merge,
+    places_along,
+    reassociate,
+    solve_labels,
+)
+from limslam_agent.slam.line_graph.smoothed_map import lasting, smoothed_map, tally
 from limslam_agent.slam.line_graph.smoother import (
     FilteredRun,
     beside,
@@ -105,6 +110,29 @@ def test_derivatives_of_readings_are_differences(width):
             for sign in (1.0, -1.0)
         ]
         assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+
+
+def test_derivatives_by_bias_and_scale_are_differences():
+    problem, poses = noisy_run(4)
+    state, labels = state_from_motions(problem), true_labels(problem, poses)
+    state = replace(
+        solve_labels(problem, state, labels).state, calibration=np.array([[0, 0, 0, 0.02, 0.03]])
+    )
+    found, places = expected(problem, state, labels), problem.readings.places
+    lengths = problem.true(found.ranges, places, state.calibration)
+    for column, wanted in ((3, np.ones(len(labels))), (4, lengths)):
+        change = 1e-6 * np.eye(5)[[column]]
+        ends = [
+            expected(problem, replace(state, calibration=state.calibration + each), labels).ranges
+            for each in (change, -change)
+        ]
+        assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(wanted, abs=1e-6)
+    change = 1e-6 * np.eye(3)[0]
+    ends = [
+        expected(problem, replace(state, poses=state.poses + each), labels).ranges
+        for each in (change, -change)
+    ]
+    assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(found.by_pose[:, 0], abs=1e-6)
 
 
 def test_covariances_are_those_of_a_dense_solution():
@@ -229,6 +257,32 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
     assert position_error(found.state, poses) < 0.02
 
 
+@pytest.mark.parametrize(("bias", "scale"), [(0.09, 0.0), (0.02, 0.024)])
+def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
+    """A scale of 3 %, of which the filter has found its share of four fifths."""
+    problem, poses = noisy_run(6, places=[*ROUND, *ROUND])
+    run, sensor = (
+        run_of(problem, poses, None),
+        RangeSensor(0.02, bias=bias, scale=scale, scale_std=scale),
+    )
+    longer = np.minimum(bias + run.ranges * (1.0 + 1.25 * scale), ROBOT.max_ranges)
+    seen = longer < ROBOT.too_far
+    told = replace(run, ranges=longer, sensor=sensor)
+    found = smooth_run(told, CONFIG)
+    assert found.contradictions < 0.01
+    assert found.ranges[seen] == pytest.approx(
+        run.ranges[seen] * (1.0 + 1.25 * scale) / (1.0 + scale), abs=0.02
+    )
+    if scale:
+        left, right, _, _, excess = found.calibration[0]
+        assert (left + right) / 2.0 + excess == pytest.approx(1.25 * scale, abs=0.005)
+        far = np.hypot(*poses[0, :, :2].T - poses[0, 0, :2, None]).argmax()
+        away = poses[0, far, :2] - poses[0, 0, :2]
+        along = away / np.hypot(*away)
+        std = np.sqrt(along @ found.covariances[far, 0, :2, :2] @ along)
+        assert std > 0.007 * np.hypot(*away)
+
+
 def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
     problem, poses = noisy_run(6, 0.02)
     run, tick = run_of(problem, poses, None), 0.01
@@ -267,7 +321,7 @@ def test_rough_sensors_have_relative_errors_only():
     problem, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
     found = settle(run_of(problem, poses, RangeSensor(0.02, growth=1e-3)), CONFIG)
     assert found.problem.prior is RELATIVE_PRIOR
-    assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0], abs=0.01)
+    assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0, 0.0], abs=0.01)
 
 
 def agreeing(found, wanted):
@@ -445,6 +499,36 @@ def test_beams_that_go_through_a_wall_are_counted():
         found, solution=replace(found.solution, state=replace(found.state, lines=moved))
     )
     assert tally(wrong)[1].sum() > 100
+
+
+def test_what_did_not_last_is_no_wall():
+    found = truth(3)
+    problem, readings = found.problem, found.problem.readings
+    middle = len(found.state.flat_poses) // 2
+    stood = np.flatnonzero((readings.places >= middle) & (readings.places < middle + 40))
+    short = readings.distances.copy()
+    short[stood] = np.minimum(short[stood], 0.3)
+    labels = np.where(short < readings.distances, found.labels.max() + 1, found.labels)
+    seen = replace(problem, readings=replace(readings, distances=short))
+    someone = solve_labels(seen, found.state, labels)
+    cleared = lasting(someone)
+    assert len(cleared.state.lines) < len(someone.state.lines)
+    assert not (cleared.labels[short < readings.distances] >= 0).any()
+
+
+def test_a_wide_beam_draws_a_wall_where_it_has_read_it():
+    found = truth(3)
+    sensor = found.problem.sensor._replace(cone=math.radians(12.0))
+    along, wide = (
+        places_along(each, found.state, found.labels)
+        for each in (found.problem, replace(found.problem, sensor=sensor))
+    )
+    poses, used = found.state.flat_poses[found.problem.readings.places], found.labels >= 0
+    lines, anchors = found.state.lines[found.labels], found.state.anchors[found.labels]
+    tangents = np.column_stack((-np.sin(lines[:, 1]), np.cos(lines[:, 1])))
+    feet = ((poses[:, :2] - anchors) * tangents).sum(axis=1)
+    assert (np.abs(wide - feet) <= np.abs(along - feet) + ROBOT.radius)[used].all()
+    assert np.abs(wide - along)[used].max() > 0.1
 
 
 def test_the_map_has_the_walls_and_leaves_the_door_open():

@@ -310,6 +310,7 @@ def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
     closing, without = slams
     assert closing.closures, "no loop was closed, and the test shows nothing"
     assert not without.closures
+    assert {record.is_new for record in closing.associations} == {False, True}
     for closure in closing.closures:
         assert closure.older < closure.younger
         # Two that lie on each other already cannot come closer.
