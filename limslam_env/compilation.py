@@ -207,7 +207,7 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
             else:
                 from limslam_env.kept_code import keep
 
-                keep(kept, kernel.__name__, allocates, source_stamp(*ENV_SOURCES, *sources))
+                keep(kept, kernel.__name__, source_stamp(*ENV_SOURCES, *sources))
                 return cast(Kernel, kept)
         return cast(Kernel, _njit(kernel, is_kernel=True, **options))
 

@@ -50,7 +50,7 @@ class _CheckedFile(caching.IndexDataCacheFile):
         return pickle.loads(content)  # noqa: S301 # what numba itself has written
 
 
-def keep(kept: Any, name: str, allocates: bool, stamp: str) -> None:
+def keep(kept: Any, name: str, stamp: str) -> None:
     """Keep a kernel on disk until the stamp of its sources changes. Files that cannot be used are
     as good as absent, whatever is wrong with them.
 
@@ -71,8 +71,9 @@ def keep(kept: Any, name: str, allocates: bool, stamp: str) -> None:
     save_overload = cache.save_overload
 
     def load_or_announce(signature: Any, target: Any) -> Any:
-        if allocates:
-            rtsys.initialize(target)
+        # A kernel that makes no arrays may hold functions that were compiled for one that does, and
+        # they count references.
+        rtsys.initialize(target)
         usual, environment._rebuild_env = environment._rebuild_env, _environment  # noqa: SLF001
         try:
             found = cache._load_overload(signature, target)  # noqa: SLF001

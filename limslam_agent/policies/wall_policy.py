@@ -82,12 +82,6 @@ class WallPolicy(MapExplorer):
         super().enter(belief)
         self._frontiers.enter(belief)
 
-    def restart(self) -> None:
-        """Explore the frontiers again, and remember the walls that were looked at."""
-        self._looks = [look for look in self._looks if not look.is_stuck]
-        self._frontiers.restart()
-        self._begin()
-
     @property
     def looks(self) -> list[Faces]:
         """The stretches that this robot has looked at, and the one that it is about to look at."""
@@ -98,6 +92,12 @@ class WallPolicy(MapExplorer):
     def _forget_map(self) -> None:
         self._looks: list[Look] = []
         self._looking = 0
+
+    def restart(self) -> None:
+        """Explore the frontiers again, and remember the walls that were looked at."""
+        self._looks = [look for look in self._looks if not look.is_stuck]
+        self._frontiers.restart()
+        self._begin()
 
     def _plan_anew(self) -> None:
         self._look: Look | None = None

@@ -157,6 +157,11 @@ def largest(numbers):
         best = max(best, number)
     return best
 
+@compiled
+def after_first(numbers):
+    rest = numbers[1:]
+    return largest(rest)
+
 @merged
 def doubled(number):
     return 2.0 * number
@@ -164,6 +169,14 @@ def doubled(number):
 @entry_of("inner_kernels")
 def doubled_largest(numbers):
     return doubled(largest(numbers))
+
+@entry_of("inner_kernels", allocates=False)
+def largest_after(numbers):
+    return after_first(numbers)
+
+@entry_of("inner_kernels")
+def largest_of_copy(numbers):
+    return after_first(numbers.copy())
 
 @entry_of("inner_kernels")
 def copied(numbers, places):
@@ -238,6 +251,17 @@ print("cannot assign slice" in str(error(copied, np.zeros(1), np.zeros(2))))
     assert run_inner(tmp_path, statements) == expected
     # All of it comes from the disk now.
     assert run_inner(tmp_path, statements) == [expected[0], "1 1", *expected[2:]]
+
+
+def test_a_kernel_without_arrays_holds_a_function_that_was_compiled_for_one_with_arrays(tmp_path):
+    statements = """
+from inner_kernels import largest_after, largest_of_copy
+numbers = np.array([7.0, 5.0, 3.0])
+"""
+    both = statements + "print(largest_of_copy(numbers), largest_after(numbers))"
+    assert run_inner(tmp_path, both) == ["5.0 5.0"]
+    # This interpreter does not load the kernel that makes arrays.
+    assert run_inner(tmp_path, statements + "print(largest_after(numbers))") == ["5.0"]
 
 
 def test_nothing_of_numba_stays_changed_after_a_compilation(tmp_path):
