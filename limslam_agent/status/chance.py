@@ -51,7 +51,8 @@ def chance_path_off(covariance: FloatArray) -> float:
     """
     from scipy.special import gammaincc
 
-    mean, size = float(covariance.trace()), max(float((covariance**2).sum()), _LEAST**2)
+    mean = max(float(covariance.trace()), _LEAST)
+    size = max(float((covariance**2).sum()), _LEAST**2)
     freedoms = mean**2 / size
     threshold = 0.5 * len(covariance) * FAR**2
     return float(gammaincc(0.5 * freedoms, 0.5 * threshold * mean / size))
