@@ -32,6 +32,9 @@ class RangeSensor(NamedTuple):
         By how many steps the ranges are later than the wheels.
     broken
         Numbers of the beams that are left out, since they always read the same.
+    bend
+        Of the walls that it reads: standard deviation of their curvature, 1/m; 0 if they are
+        straight.
     """
 
     std: float
@@ -41,6 +44,7 @@ class RangeSensor(NamedTuple):
     turns: tuple[float, ...] = ()
     delay: float = 0.0
     broken: tuple[int, ...] = ()
+    bend: float = 0.0
 
     @property
     def numbers(self) -> tuple[float, float, float, float]:
@@ -80,6 +84,7 @@ class RangeSensor(NamedTuple):
             "growth": "noise_growth_per_m",
             "cone": "cone_rad",
             "bias": "bias_m",
+            "bend": "wall_curvature_per_m",
         }
         numbers = {name: own[part] for part, name in names.items() if own[part] != assumed[part]}
         delay = {"delay_s": self.delay * period} if self.delay else {}
