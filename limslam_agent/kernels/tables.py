@@ -197,6 +197,8 @@ class Filter(NamedTuple):
         (5 or more,), whose places are named above.
     errors
         What is known of the constant errors: see ``separate_bias``; 0 in a batch.
+    bend
+        Standard deviation of the curvature of walls, 1/m; 0 where they are straight.
     """
 
     x: FloatArray
@@ -206,3 +208,4 @@ class Filter(NamedTuple):
     clones: IntArray
     counts: IntArray
     errors: Any = 0
+    bend: float = 0.0

@@ -187,13 +187,14 @@ def set_gained(
     begins: IntArray,
     H: FloatArray,
     variances: FloatArray,
+    bend: float,
     HP: FloatArray,
     S: FloatArray,
 ) -> None:
     """Set H P (m, size) from those rows of P for which H is not zero, and the lower triangle of S =
-    H P H^T + R.
+    H P H^T + R. What all readings share by a curvature of their wall is a part of R.
     """
-    line = len(rows) - 2
+    line, bent = len(rows) - 2, 0.5 * bend * H[:, 5] ** 2 / H[:, 4]
     for i in range(len(begins)):
         at = begins[i]
         a, b, c, d, e = H[i, 1], H[i, 2], H[i, 3], H[i, 4], H[i, 5]
@@ -213,6 +214,7 @@ def set_gained(
                 + HP[i, place + 2] * H[m, 3]
                 + HP[i, to] * H[m, 4]
                 + HP[i, to + 1] * H[m, 5]
+                + bent[i] * bent[m]
             )
         S[i, i] += variances[i]
 
@@ -234,13 +236,15 @@ def iterate(
     variances: FloatArray,
     iterations: int,
     huber: float,
+    bend: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Iterate an update by readings of one line, with Huber weights, linearised anew at each
     iteration.
 
     ``columns`` and ``begins`` are those of :func:`involved`, ``chosen`` (m,) are the readings that
-    are used, with ``variances`` (m,), m^2, and ``huber`` limits the weights. x is moved to where
-    the last iteration linearises.
+    are used, with ``variances`` (m,), m^2, and ``huber`` limits the weights. The curvature of the
+    wall has the standard deviation ``bend``, 1/m. x is moved to where the last iteration
+    linearises.
 
     Returns
     -------
@@ -275,7 +279,7 @@ def iterate(
             transport_pose(P, moved, pose)
             transport_rows(P, rows, columns, moved, pose, shifted)
         predict_ranges(x, start, places, readings, chosen, (x[first], x[first + 1]), anchor, H)
-        set_gained(shifted, columns, begins, H, scaled, HP, S)
+        set_gained(shifted, columns, begins, H, scaled, bend, HP, S)
         for i in range(count):
             residual = readings[chosen[i], 3] - H[i, 0]
             off[i] = solution[i] = residual + since(x, before, columns, begins[i], H[i])
@@ -305,6 +309,7 @@ def update_by_readings(
     variances: FloatArray,
     iterations: int,
     huber: float,
+    bend: float,
 ) -> tuple[
     FloatArray,
     FloatArray,
@@ -344,5 +349,6 @@ def update_by_readings(
         gathered(variances, chosen),
         iterations if len(chosen) else 0,
         huber,
+        bend,
     )
     return moved, change, H, with_zeros(H, begins, len(columns)), columns, factor, W, off, chosen

@@ -46,7 +46,9 @@ class AssumedSensor:
         self.sensor, config = sensor, self._config
         # Turned beams say nothing of noise and opening angle, and while they are known roughly,
         # they look like both.
-        self._is_specified = sensor._replace(turns=(), delay=0.0, broken=()) == self.specified
+        self._is_specified = (
+            sensor._replace(turns=(), delay=0.0, broken=(), bend=0.0) == self.specified
+        )
         ratio = config.least_ratio if self._is_specified else config.further_ratio
         self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
         self._is_counted = False
@@ -63,7 +65,7 @@ class AssumedSensor:
         self._noise.count(residuals, ranges)
         self._is_counted = True
 
-    def correction(self, errors: RangeErrors | None) -> RangeSensor | None:
+    def correction(self, errors: RangeErrors | None, bend_evidence: float) -> RangeSensor | None:
         """The sensor that the readings so far require; None if the assumed one will do, or nothing
         is new.
 
@@ -79,6 +81,8 @@ class AssumedSensor:
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
+        if bend_evidence > config.gate:
+            return sensor._replace(bend=math.hypot(sensor.bend, errors.likeliest_bend))
         turned = self._turned(errors)
         if turned is not None:
             return turned
@@ -110,7 +114,7 @@ class AssumedSensor:
         further = float(errors.estimate_of(COMMON)[0][DELAY])
         if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.delay_evidence < gate:
             return None
-        return self.sensor._replace(delay=min(delay + further, LONGEST))
+        return self.sensor._replace(delay=min(delay + further, LONGEST), bend=0.0)
 
     def scaled(
         self, errors: RangeErrors | None, size: float, std: float, prior: float
@@ -162,4 +166,5 @@ class AssumedSensor:
             evidence, gate = errors.turn_evidence, self._config.gate
         if evidence < gate:
             return None
-        return sensor._replace(turns=tuple((turns + (sensor.turns or np.zeros(count))).tolist()))
+        turns = turns + (sensor.turns or np.zeros(count))
+        return sensor._replace(turns=tuple(turns.tolist()), bend=0.0)

@@ -201,6 +201,12 @@ class CloneEKF:
         """
         return self._errors.ranges
 
+    @property
+    def bend_evidence(self) -> float:
+        """``SeparateBias.bend_evidence`` against the errors of odometry and of ranges."""
+        both = self._errors.odometry, self._errors.ranges
+        return min((each.bend_evidence for each in both if each is not None), default=0.0)
+
     def calibrate(self) -> None:
         """Make the odometry's calibration a part of the state, with what all updates so far say of
         it.
@@ -261,7 +267,16 @@ class CloneEKF:
             change,
         )
         note_update(
-            arrays, np.ones((1, 1)), column, innovation, factor, whitened, nothing, moved, None
+            arrays,
+            np.ones((1, 1)),
+            column,
+            innovation,
+            factor,
+            whitened,
+            nothing,
+            moved,
+            None,
+            np.zeros(1),
         )
 
     def predict(self, motion: Motion, robot: int = 0) -> None:
@@ -490,6 +505,7 @@ class CloneEKF:
             numbers,
             counts,
             self._errors,
+            self.arrays.bend,
         )
 
     def _correct(self, change: FloatArray) -> None:

@@ -317,6 +317,7 @@ class ConsistentEstimator(Estimator):
                 self._process(number, side, front.step, is_over=is_over)
         if (self.filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
             self.calibrate()
+            self._assume(self.sensor._replace(bend=0.0))  # it may have been due to the wheels
         self._correct_sensor()
 
     def finish(self) -> None:
@@ -343,6 +344,7 @@ class ConsistentEstimator(Estimator):
     def _assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
+        self.filter.arrays = self.filter.arrays._replace(bend=sensor.bend)
         self._mounted, self.filter.has_turned_beams = sensor.mounted(self.robot), bool(sensor.turns)
         config = cast(ConsistentConfig, self.config.estimator)
         self.settings = step_settings(config, sensor, self._sensor.usual_std)
@@ -391,7 +393,7 @@ class ConsistentEstimator(Estimator):
         """Take the sensor's errors as estimated, if the readings say that they are not as
         assumed.
         """
-        found = self._sensor.correction(self.filter.range_errors)
+        found = self._sensor.correction(self.filter.range_errors, self.filter.bend_evidence)
         if found is None:
             found = self._scaled()
         elif found.places != self.sensor.places:  # what was taken for a scale may have been this

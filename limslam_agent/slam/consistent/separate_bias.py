@@ -18,15 +18,26 @@ from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
+BENDS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.5])
+"""Standard deviations of the curvature of walls that are considered, 1/m."""
+
+NONE = slice(0)
+"""No errors."""
+
 
 class SeparateBias:
     """Constant errors b with a prior covariance (k, k) about zero: what the innovations of a filter
     say of them.
+
+    What they say is known for walls whose curvature has each of the ``BENDS`` as its standard
+    deviation, and each update is of a wall of its own. So an error of the robot has to explain more
+    than such walls do.
     """
 
     def __init__(self, prior: FloatArray) -> None:
-        self._prior, count = prior, len(prior)
-        self._information, self._score = np.zeros((count, count)), np.zeros(count)
+        self._prior, count, bends = prior, len(prior), len(BENDS)
+        self._information = np.zeros((bends, count, count))
+        self._score, self._bent = np.zeros((bends, count)), np.zeros(bends)
 
     @property
     def count(self) -> int:
@@ -35,21 +46,44 @@ class SeparateBias:
 
     def estimate_of(self, part: slice) -> tuple[FloatArray, FloatArray]:
         """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
-        return _estimated(self._prior[part, part], self._information[part, part], self._score[part])
+        information, score = self._information[0], self._score[0]
+        return _estimated(self._prior[part, part], information[part, part], score[part])
 
-    def evidence_of(self, part: slice | IntArray) -> float:
-        """Twice the logarithm of the Bayes factor for some of the errors against no errors."""
-        prior, information = self._prior[part][:, part], self._information[part][:, part]
-        narrowed, score = np.eye(len(prior)) + information @ prior, self._score[part]
-        gain = float(score @ prior @ np.linalg.solve(narrowed, score))
-        return gain - float(np.linalg.slogdet(narrowed)[1])
-
-    def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
-        """The filter was updated by measurements: derivative (m, k) by the errors, and innovation
-        (m,), whitened.
+    def evidence_of(self, part: slice | IntArray = NONE) -> float:
+        """Twice the logarithm of the Bayes factor for some of the errors, beside walls of the
+        likeliest curvature, against no errors and straight walls.
         """
+        return float(self._evidences_of(part).max())
+
+    @property
+    def bend_evidence(self) -> float:
+        """Twice the logarithm of the Bayes factor for curved walls, against errors and straight
+        walls.
+        """
+        return self.evidence_of() - max(0.0, self._evidences_of(slice(None)).item(0))
+
+    @property
+    def likeliest_bend(self) -> float:
+        """The likeliest curvature of walls, 1/m, if there are no errors."""
+        return float(BENDS[self._bent.argmax()])
+
+    def _evidences_of(self, part: slice | IntArray) -> FloatArray:
+        """The same for each of the ``BENDS``."""
+        prior, information = self._prior[part][:, part], self._information[:, part][..., part]
+        narrowed, score = np.eye(len(prior)) + information @ prior, self._score[:, part, None]
+        gains = np.swapaxes(score, 1, 2) @ prior @ np.linalg.solve(narrowed, score)
+        return np.asarray(self._bent + gains[:, 0, 0] - np.linalg.slogdet(narrowed)[1])
+
+    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray) -> None:
+        """The filter was updated by measurements: derivative (m, k) by the errors, innovation (m,),
+        and derivative (m,) by the curvature of the wall, whitened.
+        """
+        size, off, shared = bent @ bent, bent @ innovation, by_errors.T @ bent
+        share = BENDS**2 / (1.0 + BENDS**2 * size)
         self._information += by_errors.T @ by_errors
-        self._score += by_errors.T @ innovation
+        self._information -= share[:, None, None] * np.outer(shared, shared)
+        self._score += by_errors.T @ innovation - np.outer(share, off * shared)
+        self._bent += share * off**2 - np.log1p(BENDS**2 * size)
 
 
 class OdometryErrors(SeparateBias):
@@ -69,12 +103,14 @@ class OdometryErrors(SeparateBias):
         super().__init__(np.asarray(np.kron(np.eye(robots), prior), dtype=float))
         self.evidence = 0.0
 
-    def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
+    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray) -> None:
         """The filter was updated; see the base class."""
-        super().learn(by_errors, innovation)
-        self.evidence = max(
-            self.evidence_of(slice(first, first + POSE))
-            for first in range(0, len(self._score), POSE)
+        super().learn(by_errors, innovation, bent)
+        self.evidence = (
+            max(
+                self.evidence_of(slice(first, first + POSE)) for first in range(0, self.count, POSE)
+            )
+            - self.evidence_of()
         )
 
 
@@ -102,15 +138,18 @@ class RangeErrors(SeparateBias):
         super().__init__(np.diag(np.square(stds)))
         self.stds = stds
         # Information and score from before the state was corrected, for what is reported.
-        self._earlier = np.zeros_like(self._information), np.zeros_like(self._score)
+        self._earlier = np.zeros_like(self._information[0]), np.zeros_like(self._score[0])
 
     def corrected(self, errors: FloatArray) -> "RangeErrors":
         """The further errors after the state was corrected for the first of the errors (m,), which
         begin anew.
         """
         further, (information, score) = RangeErrors(self.stds), self._earlier
-        information = information + self._information
-        further._earlier = information, score + self._score - information[:, : len(errors)] @ errors
+        information = information + self._information[0]
+        further._earlier = (
+            information,
+            score + self._score[0] - information[:, : len(errors)] @ errors,
+        )
         return further
 
     @property
@@ -145,6 +184,7 @@ class RangeErrors(SeparateBias):
         """
         other = RangeErrors(self.stds)
         other._information, other._score = share * self._information, share * self._score
+        other._bent = share * self._bent
         return other
 
     @property
@@ -157,7 +197,8 @@ class RangeErrors(SeparateBias):
         """The errors (k,) and their covariance (k, k) by all readings, also by those from before a
         correction.
         """
-        information, score = self._earlier[0] + self._information, self._earlier[1] + self._score
+        (information, score), own = self._earlier, self._information[0]
+        information, score = information + own, score + self._score[0]
         return _estimated(self._prior, information, score)
 
     @property
@@ -176,7 +217,8 @@ class RangeErrors(SeparateBias):
         another opening angle against these alone.
         """
         return min(
-            self.evidence_of(TURNS), self.evidence_of(slice(None)) - self.evidence_of(COMMON)
+            self.evidence_of(TURNS) - self.evidence_of(),
+            self.evidence_of(slice(None)) - self.evidence_of(COMMON),
         )
 
 
@@ -198,12 +240,12 @@ class ConstantErrors:
         """Number of all the errors."""
         return sum(errors.count for errors in (self.odometry, self.ranges) if errors is not None)
 
-    def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
+    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray) -> None:
         """The filter was updated: see :meth:`SeparateBias.learn`."""
         first = 0
         for errors in (self.odometry, self.ranges):
             if errors is not None:
-                errors.learn(by_errors[:, first : first + errors.count], innovation)
+                errors.learn(by_errors[:, first : first + errors.count], innovation, bent)
                 first += errors.count
 
 
@@ -217,6 +259,7 @@ def note_update(
     moved: FloatArray,
     moved_again: FloatArray,
     direct: FloatArray | None,
+    by_curvature: FloatArray,
 ) -> None:
     """Change V as an update of a ``Filter`` by m measurements has changed its state, and estimate
     the errors anew.
@@ -234,6 +277,8 @@ def note_update(
     direct
         Derivative (m, k) of the measurements by the last k errors at a given state, if there is
         one.
+    by_curvature
+        Derivative (m,) of the measurements by the curvature of their wall.
 
     Raises
     ------
@@ -249,9 +294,10 @@ def note_update(
     measured = jacobian @ by_errors[columns]
     if direct is not None:
         measured[:, -direct.shape[1] :] += direct
-    scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation)))
-    ekf.errors.learn(scaled[:, :-1], scaled[:, -1])
-    by_errors -= whitened.T @ scaled[:, :-1]
+    scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation, by_curvature)))
+    by_error = scaled[:, :-2]
+    ekf.errors.learn(by_error, scaled[:, -2], scaled[:, -1])
+    by_errors -= whitened.T @ by_error
     by_errors += moved_again @ by_errors[:POSE]
 
 
@@ -274,7 +320,10 @@ def note_readings(
         direct = by_range_errors(
             expected, readings[chosen], headings, theta, len(ranges.stds[TURNS])
         )
-    note_update(ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct)
+    curved = 0.5 * expected[:, 5] ** 2 / expected[:, 4]
+    note_update(
+        ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct, curved
+    )
 
 
 def _estimated(

@@ -36,6 +36,9 @@ class RangeSensor(NamedTuple):
         By how many steps the ranges are later than the wheels.
     broken
         Numbers of the beams that are left out, since they always read the same.
+    bend
+        Of the walls that it reads: standard deviation of their curvature, 1/m; 0 if they are
+        straight.
     """
 
     std: float
@@ -47,6 +50,7 @@ class RangeSensor(NamedTuple):
     broken: tuple[int, ...] = ()
     scale: float = 0.0
     scale_std: float = 0.0
+    bend: float = 0.0
 
     @property
     def numbers(self) -> tuple[float, float, float]:
@@ -114,6 +118,7 @@ class RangeSensor(NamedTuple):
             "bias": "bias_m",
             "scale": "scale",
             "scale_std": "scale_std",
+            "bend": "wall_curvature_per_m",
         }
         numbers = {name: own[part] for part, name in names.items() if own[part] != assumed[part]}
         delay = {"delay_s": self.delay * period} if self.delay else {}

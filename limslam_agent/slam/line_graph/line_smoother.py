@@ -154,11 +154,15 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
         raise DegenerateError("no line has enough readings")
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
+    sharing = np.bincount(labels + 1)[labels + 1]
     graph, weights = _Graph(problem, labels, unknowns), np.zeros(len(labels))
     for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = not_grazing(readings, labels) / problem.variances(state, readings)
+            curved = problem.sensor.bend * 0.5 * readings.by_line[:, 1] ** 2
+            curved /= readings.by_line[:, 0]
+            variances = problem.variances(state, readings) + sharing * curved**2
+            weights = not_grazing(readings, labels) / variances
         graph.linearise(state, readings, weights)
         factors = graph.equations.factorise()
         step = -graph.equations.solved(factors, graph.equations.gradient)
