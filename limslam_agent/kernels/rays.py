@@ -23,7 +23,6 @@ from limslam_agent.kernels.tables import (
     RAY_TO_Y,
     RAY_X,
     RAY_Y,
-    UNMAPPED,
     UNRELATED,
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -75,24 +74,13 @@ def crossing(
 
 
 @compiled
-def unexplained(length: float, reach: float, wall: float) -> float:
-    """How likely a reading is that is not of the wall at a distance (m), against a random place.
-
-    It has nothing to do with the map, or something that is not in the map stands anywhere before
-    the wall.
-    """
-    return UNRELATED + (UNMAPPED * reach / (wall * (1.0 - NOTHING)) if length < wall else 0.0)
-
-
-@compiled
 def wall_evidence(length: float, reach: float, wall: float, std: float) -> float:
     """The evidence of a reading for a wall at a distance (m), against a random place."""
-    is_wall = 1.0 - UNRELATED - UNMAPPED
     if length >= reach:
         beyond = 0.5 * math.erfc((reach - wall) / (std * math.sqrt(2.0)))
-        return math.log((is_wall * beyond + UNRELATED * NOTHING) / NOTHING)
+        return math.log(((1.0 - UNRELATED) * beyond + UNRELATED * NOTHING) / NOTHING)
     density = normal_density(length - wall, std)
-    return math.log(is_wall * density * reach / (1.0 - NOTHING) + unexplained(length, reach, wall))
+    return math.log((1.0 - UNRELATED) * density * reach / (1.0 - NOTHING) + UNRELATED)
 
 
 @compiled
@@ -168,13 +156,12 @@ def explain(
         return wall_evidence(length, reach, wall, std), against, True
     if free >= reach - 0.05:
         is_empty = length > reach - 0.1
-        empty = (1.0 - UNRELATED - UNMAPPED) / NOTHING
-        likelihood = empty if is_empty else unexplained(length, reach, reach)
+        likelihood = (1.0 - UNRELATED) / NOTHING if is_empty else UNRELATED
         return math.log(likelihood), 0.0 if is_empty else length, True
     if free <= 0.0:
         return 0.0, 0.0, False
     if length < free - _BESIDE - 3.0 * math.sqrt(spread[0] + spread[1] * free**2):
-        return math.log(unexplained(length, reach, free)), length, True
+        return math.log(UNRELATED), length, True
     # Beyond known ground, a reading is no surprise at a random place either: it mostly goes on
     # along what the beam saw before, and not each of many such readings is news.
     if ends_at < 0:

@@ -105,11 +105,6 @@ NOTHING = 0.45
 UNRELATED = 0.02
 """Likelihood that a reading has nothing to do with the map of the place where it was taken."""
 
-UNMAPPED = 0.05
-"""Likelihood that something that is not in the map stands before what a beam would see: a person or
-a chair.
-"""
-
 THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
 """A beam has passed through a wall if it is longer than the distance to the wall's line by this
 many standard deviations and by this length, m.

@@ -238,15 +238,14 @@ def test_beams_on_another_robot() -> None:
             other,
             ranges,
             ROBOT.beam_table,
-            (0.02, 0.03, 0.1, 0.01),
+            (0.02, 0.03, 0.1),
             covariance,
             6,
             0,
             (0.1, 2.0, 0.05),
             found,
         )
-        reached = ranges - 0.01
-        ends = ends_of(pose, reached)
+        ends = ends_of(pose, ranges)
         distance, arms = np.hypot(*(ends - other[:2]).T), ends - pose[:2]
         toward = (ends - other[:2]) / distance[:, None]
         turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
@@ -254,8 +253,8 @@ def test_beams_on_another_robot() -> None:
         variance = np.einsum(
             "ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian
         )
-        noise = 0.02**2 + (0.03 * reached**2) ** 2
-        expected = distance <= 0.1 + 2.0 * np.sqrt(variance + noise) + 0.05 + 0.1 * reached
+        noise = 0.02**2 + (0.03 * ranges**2) ** 2
+        expected = distance <= 0.1 + 2.0 * np.sqrt(variance + noise) + 0.05 + 0.1 * ranges
         np.testing.assert_array_equal(found, expected)
         seen += np.count_nonzero(found)
     assert 0 < seen < len(SEEDS) * BEAMS
