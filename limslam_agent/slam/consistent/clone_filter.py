@@ -220,7 +220,7 @@ def observe(
     again = correct_state(
         ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change
     )
-    note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts))
+    note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts), index)
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -315,7 +315,7 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
             first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
         )
     again = correct_state(ekf.x, ekf.P, size, begins, ekf.anchors, count, moved, W, change)
-    note_update(ekf, H, columns, innovation, factor, W, moved, again, None, by_curvature(H))
+    note_update(ekf, H, columns, innovation, factor, W, moved, again, None, by_curvature(H), older)
     is_kept = np.ones(size, dtype=np.bool_)
     is_kept[line_at(ekf.counts, younger) : line_at(ekf.counts, younger) + 2] = False
     keep(ekf, is_kept)
