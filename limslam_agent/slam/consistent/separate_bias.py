@@ -57,19 +57,23 @@ class SeparateBias:
         rows = self._sums[0, :-1][part]
         return _estimated(self._prior[part, part], rows[:, :-1][:, part], rows[:, -1])
 
-    def evidence_of(self, part: slice | IntArray = NONE) -> FloatArray:
-        """Twice the logarithm of the Bayes factor for some of the errors, beside walls of the
-        likeliest curvature, against no errors and straight walls (1 + ``FOLDS``,): by all readings,
-        and without those of each group of walls.
+    def evidence_of(self, part: slice | IntArray, against: slice | IntArray = NONE) -> float:
+        """Twice the logarithm of the Bayes factor for some of the errors against some others, each
+        beside walls of the likeliest curvature.
+
+        It is at most 0 if it is so without the readings of one group of walls: what they say may be
+        due to a wall that is not as assumed, and other walls have to say it too.
         """
-        return np.asarray(self._evidences_of(part).max(axis=-1))
+        evidence = self._evidences_of(part).max(axis=-1) - self._evidences_of(against).max(axis=-1)
+        return float(evidence[0] if evidence.min() > 0.0 else evidence.min())
 
     @property
     def bend_evidence(self) -> float:
         """Twice the logarithm of the Bayes factor for curved walls, against errors and straight
         walls.
         """
-        return self.evidence_of().item(0) - max(self._evidences_of(slice(None)).item(0), 0.0)
+        straight = self._evidences_of(slice(None)).item(0)
+        return float(self._evidences_of(NONE)[0].max()) - max(straight, 0.0)
 
     @property
     def likeliest_bend(self) -> float:
@@ -77,7 +81,10 @@ class SeparateBias:
         return BENDS.item(int(self._evidences_of(NONE)[0].argmax()))
 
     def _evidences_of(self, part: slice | IntArray) -> FloatArray:
-        """The same for each of the ``BENDS``."""
+        """Twice the logarithm of the Bayes factor for some of the errors against no errors and
+        straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
+        those of each group of walls.
+        """
         total = self._sums
         sums = np.concatenate((total[None], total - self._folds))
         rows, chi_squares = sums[..., :-1, :][..., part, :], sums[..., -1, -1]
@@ -123,12 +130,8 @@ class OdometryErrors(SeparateBias):
     ) -> None:
         """The filter was updated; see the base class."""
         super().learn(by_errors, innovation, bent, wall)
-        self.evidence = least(
-            np.max(
-                [self.evidence_of(slice(at, at + POSE)) for at in range(0, self.count, POSE)],
-                axis=0,
-            )
-            - self.evidence_of()
+        self.evidence = max(
+            self.evidence_of(slice(first, first + POSE)) for first in range(0, self.count, POSE)
         )
 
 
@@ -173,13 +176,12 @@ class RangeErrors(SeparateBias):
 
         Each is compared with the other one alone, so that none is taken for the other one.
         """
-        both = self.evidence_of(LENGTHS)
-        return np.array([least(both - self.evidence_of(np.array([other]))) for other in (1, 0)])
+        return np.array([self.evidence_of(LENGTHS, np.array([other])) for other in (1, 0)])
 
     @property
     def delay_evidence(self) -> float:
         """The same for a delay, compared with bias and opening angle."""
-        return least(self.evidence_of(COMMON) - self.evidence_of(LENGTHS))
+        return self.evidence_of(COMMON, LENGTHS)
 
     @property
     def turns(self) -> FloatArray:
@@ -228,10 +230,7 @@ class RangeErrors(SeparateBias):
         It is the smaller one of two: turned beams against none, and turned beams beside a bias and
         another opening angle against these alone.
         """
-        return min(
-            least(self.evidence_of(TURNS) - self.evidence_of()),
-            least(self.evidence_of(slice(None)) - self.evidence_of(COMMON)),
-        )
+        return min(self.evidence_of(TURNS), self.evidence_of(slice(None), COMMON))
 
 
 class ConstantErrors:
@@ -340,11 +339,6 @@ def note_readings(
     note_update(
         ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct, curved, wall
     )
-
-
-def least(evidence: FloatArray) -> float:
-    """The evidence by all readings; at most 0 if it is without those of one group of walls."""
-    return float(evidence[0] if evidence.min() > 0.0 else evidence.min())
 
 
 def _estimated(
