@@ -41,20 +41,17 @@ class SeparateBias:
 
     def __init__(self, prior: FloatArray) -> None:
         self._prior, size = prior, len(prior) + 1
-        self._folds = np.zeros((FOLDS, len(BENDS), size, size))
+        # Those of all updates, and those without each group of walls
+        self._sums = np.zeros((1 + FOLDS, len(BENDS), size, size))
 
     @property
     def count(self) -> int:
         """Number of the errors."""
         return len(self._prior)
 
-    @property
-    def _sums(self) -> FloatArray:
-        return np.asarray(self._folds.sum(axis=0))
-
     def estimate_of(self, part: slice) -> tuple[FloatArray, FloatArray]:
         """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
-        rows = self._sums[0, :-1][part]
+        rows = self._sums[0, 0, :-1][part]
         return _estimated(self._prior[part, part], rows[:, :-1][:, part], rows[:, -1])
 
     def evidence_of(self, part: slice | IntArray, against: slice | IntArray = NONE) -> float:
@@ -85,9 +82,7 @@ class SeparateBias:
         straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
         those of each group of walls.
         """
-        total = self._sums
-        sums = np.concatenate((total[None], total - self._folds))
-        rows, chi_squares = sums[..., :-1, :][..., part, :], sums[..., -1, -1]
+        rows, chi_squares = self._sums[..., :-1, :][..., part, :], self._sums[..., -1, -1]
         information, score = rows[..., :-1][..., part], rows[..., -1:]
         prior = self._prior[part][:, part]
         narrowed = np.eye(len(prior)) + information @ prior
@@ -105,7 +100,8 @@ class SeparateBias:
         shared, shares = joined.T @ bent, BENDS**2 / (1.0 + sizes)
         sums = joined.T @ joined - shares[:, None, None] * np.outer(shared, shared)
         sums[:, -1, -1] += np.log1p(sizes)
-        self._folds[wall % FOLDS] += sums
+        self._sums += sums
+        self._sums[1 + wall % FOLDS] -= sums
 
 
 class OdometryErrors(SeparateBias):
@@ -159,14 +155,14 @@ class RangeErrors(SeparateBias):
         super().__init__(np.diag(np.square(stds)))
         self.stds = stds
         # The sums from before the state was corrected, for what is reported.
-        self._earlier = np.zeros_like(self._sums[0])
+        self._earlier = np.zeros_like(self._sums[0, 0])
 
     def corrected(self, errors: FloatArray) -> "RangeErrors":
         """The further errors after the state was corrected for the first of the errors (m,), which
         begin anew.
         """
         further = RangeErrors(self.stds)
-        further._earlier = self._earlier + self._sums[0]
+        further._earlier = self._earlier + self._sums[0, 0]
         further._earlier[:, -1] -= further._earlier[:, : len(errors)] @ errors
         return further
 
@@ -194,14 +190,6 @@ class RangeErrors(SeparateBias):
         errors, covariance = self._estimate_of_all
         return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
 
-    def discounted(self, share: float) -> "RangeErrors":
-        """What is known of the errors if each reading says only a share of what it was taken to
-        say.
-        """
-        other = RangeErrors(self.stds)
-        other._folds = share * self._folds
-        return other
-
     @property
     def covariance_of_turns(self) -> FloatArray:
         """What remains unknown of the directions of the beams (n_beams, n_beams), rad^2."""
@@ -212,7 +200,7 @@ class RangeErrors(SeparateBias):
         """The errors (k,) and their covariance (k, k) by all readings, also by those from before a
         correction.
         """
-        sums = (self._earlier + self._sums[0])[:-1]
+        sums = (self._earlier + self._sums[0, 0])[:-1]
         return _estimated(self._prior, sums[:, :-1], sums[:, -1])
 
     @property
