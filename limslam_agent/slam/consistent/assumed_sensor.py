@@ -143,17 +143,10 @@ class AssumedSensor:
         alone. Beams that are known to be turned are corrected whenever that explains the readings
         better than chance would: the first estimate, from few metres, is some tenths of a degree
         off.
-
-        Noise is estimated by how readings of one segment scatter about its line. What they share,
-        such as the error of a wall that is not straight or of a clock, is no part of it, and looks
-        like turned beams. So noise that is less than specified is no reason to believe in them.
         """
         sensor, count = self.sensor, len(errors.stds[TURNS])
         if not count:
             return None
-        errors = errors.discounted(
-            min(1.0, self.usual_std / self.specified.usual_std(self._reach)) ** 2
-        )
         turns = errors.estimate_of(TURNS)[0]
         if np.abs(turns).max() < LEAST_ANGLE:
             return None

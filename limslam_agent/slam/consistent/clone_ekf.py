@@ -277,6 +277,7 @@ class CloneEKF:
             moved,
             None,
             np.zeros(1),
+            0,
         )
 
     def predict(self, motion: Motion, robot: int = 0) -> None:

@@ -220,7 +220,9 @@ def observe(
     again = correct_state(
         ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change
     )
-    note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts))
+    note_readings(
+        ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts), index
+    )
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -262,14 +264,6 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
     return np.array([across, turn]), H, columns
 
 
-def by_curvature(by_lines: FloatArray) -> FloatArray:
-    """By what the difference (2,) of two lines with this derivative (2, 7) changes if their wall is
-    curved, for each 1/m.
-    """
-    apart = by_lines[0, POSE + 1]
-    return np.array([0.5 * apart * apart, apart])
-
-
 def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
     """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2,
     2).
@@ -302,8 +296,7 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
         HP = H @ (rows + rows[:, :POSE].copy() @ moved.T.copy())
         so_far = ekf.x[:size] - start
         innovation = H @ so_far[columns] - off
-        bent = ekf.bend * by_curvature(H)
-        S = HP[:, columns] @ H.T + np.outer(bent, bent)
+        S = HP[:, columns] @ H.T
         # With S = L L^T and W = L^-1 H P, the correction is W^T L^-1 y.
         factor[0, 0] = math.sqrt(S[0, 0] + EQUALITY_NOISE[0])
         factor[1, 0] = S[1, 0] / factor[0, 0]
@@ -315,7 +308,7 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
             first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
         )
     again = correct_state(ekf.x, ekf.P, size, begins, ekf.anchors, count, moved, W, change)
-    note_update(ekf, H, columns, innovation, factor, W, moved, again, None, by_curvature(H))
+    note_update(ekf, H, columns, innovation, factor, W, moved, again, None, np.zeros(2), older)
     is_kept = np.ones(size, dtype=np.bool_)
     is_kept[line_at(ekf.counts, younger) : line_at(ekf.counts, younger) + 2] = False
     keep(ekf, is_kept)

@@ -21,6 +21,9 @@ from limslam_env.geometry.line import angle_between
 BENDS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.5])
 """Standard deviations of the curvature of walls that are considered, 1/m."""
 
+FOLDS = 16
+"""Groups of walls, each of which is left out in turn."""
+
 NONE = slice(0)
 """No errors."""
 
@@ -29,15 +32,16 @@ class SeparateBias:
     """Constant errors b with a prior covariance (k, k) about zero: what the innovations of a filter
     say of them.
 
-    What they say is known for walls whose curvature has each of the ``BENDS`` as its standard
-    deviation, and each update is of a wall of its own. So an error of the robot has to explain more
-    than such walls do.
+    An error has to explain more than walls do that are not straight. So all is known for walls
+    whose curvature has each of the ``BENDS`` as its standard deviation, independently in each
+    update: J'J (k + 1, k + 1) of the derivatives and the innovations J, whitened, whose last
+    element, chi-square, has twice the logarithm of the likelihood's norm added.
     """
 
     def __init__(self, prior: FloatArray) -> None:
-        self._prior, count, bends = prior, len(prior), len(BENDS)
-        self._information = np.zeros((bends, count, count))
-        self._score, self._bent = np.zeros((bends, count)), np.zeros(bends)
+        self._prior, size = prior, len(prior) + 1
+        # Those of all updates, and those without each group of walls
+        self._sums = np.zeros((1 + FOLDS, len(BENDS), size, size))
 
     @property
     def count(self) -> int:
@@ -46,44 +50,57 @@ class SeparateBias:
 
     def estimate_of(self, part: slice) -> tuple[FloatArray, FloatArray]:
         """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
-        information, score = self._information[0], self._score[0]
-        return _estimated(self._prior[part, part], information[part, part], score[part])
+        rows = self._sums[0, 0, :-1][part]
+        return _estimated(self._prior[part, part], rows[:, :-1][:, part], rows[:, -1])
 
-    def evidence_of(self, part: slice | IntArray = NONE) -> float:
-        """Twice the logarithm of the Bayes factor for some of the errors, beside walls of the
-        likeliest curvature, against no errors and straight walls.
+    def evidence_of(self, part: slice | IntArray, against: slice | IntArray = NONE) -> float:
+        """Twice the logarithm of the Bayes factor for some of the errors against some others, each
+        beside walls of the likeliest curvature.
+
+        It is at most 0 if it is so without the readings of one group of walls: what they say may be
+        due to a wall that is not as assumed, and other walls have to say it too.
         """
-        return float(self._evidences_of(part).max())
+        evidence = self._evidences_of(part).max(axis=-1) - self._evidences_of(against).max(axis=-1)
+        return float(evidence[0] if evidence.min() > 0.0 else evidence.min())
 
     @property
     def bend_evidence(self) -> float:
         """Twice the logarithm of the Bayes factor for curved walls, against errors and straight
         walls.
         """
-        return self.evidence_of() - max(0.0, self._evidences_of(slice(None)).item(0))
+        straight = self._evidences_of(slice(None)).item(0)
+        return float(self._evidences_of(NONE)[0].max()) - max(straight, 0.0)
 
     @property
     def likeliest_bend(self) -> float:
         """The likeliest curvature of walls, 1/m, if there are no errors."""
-        return float(BENDS[self._bent.argmax()])
+        return float(BENDS[self._evidences_of(NONE)[0].argmax()])
 
     def _evidences_of(self, part: slice | IntArray) -> FloatArray:
-        """The same for each of the ``BENDS``."""
-        prior, information = self._prior[part][:, part], self._information[:, part][..., part]
-        narrowed, score = np.eye(len(prior)) + information @ prior, self._score[:, part, None]
-        gains = np.swapaxes(score, 1, 2) @ prior @ np.linalg.solve(narrowed, score)
-        return np.asarray(self._bent + gains[:, 0, 0] - np.linalg.slogdet(narrowed)[1])
-
-    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray) -> None:
-        """The filter was updated by measurements: derivative (m, k) by the errors, innovation (m,),
-        and derivative (m,) by the curvature of the wall, whitened.
+        """Twice the logarithm of the Bayes factor for some of the errors against no errors and
+        straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
+        those of each group of walls.
         """
-        size, off, shared = bent @ bent, bent @ innovation, by_errors.T @ bent
-        share = BENDS**2 / (1.0 + BENDS**2 * size)
-        self._information += by_errors.T @ by_errors
-        self._information -= share[:, None, None] * np.outer(shared, shared)
-        self._score += by_errors.T @ innovation - np.outer(share, off * shared)
-        self._bent += share * off**2 - np.log1p(BENDS**2 * size)
+        rows, chi_squares = self._sums[..., :-1, :][..., part, :], self._sums[..., -1, -1]
+        information, score = rows[..., :-1][..., part], rows[..., -1:]
+        prior = self._prior[part][:, part]
+        narrowed = np.eye(len(prior)) + information @ prior
+        gains = np.swapaxes(score, -1, -2) @ prior @ np.linalg.solve(narrowed, score)
+        gains = gains[..., 0, 0] - np.linalg.slogdet(narrowed)[1]
+        return np.asarray(gains + chi_squares[:, :1] - chi_squares)
+
+    def learn(
+        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
+    ) -> None:
+        """The filter was updated by measurements of a wall: derivative (m, k) by the errors,
+        innovation (m,), and derivative (m,) by the curvature of the wall, whitened.
+        """
+        joined, sizes = np.column_stack((by_errors, innovation)), BENDS**2 * (bent @ bent)
+        shared, shares = joined.T @ bent, BENDS**2 / (1.0 + sizes)
+        sums = joined.T @ joined - shares[:, None, None] * np.outer(shared, shared)
+        sums[:, -1, -1] += np.log1p(sizes)
+        self._sums += sums
+        self._sums[1 + wall % FOLDS] -= sums
 
 
 class OdometryErrors(SeparateBias):
@@ -103,14 +120,13 @@ class OdometryErrors(SeparateBias):
         super().__init__(np.asarray(np.kron(np.eye(robots), prior), dtype=float))
         self.evidence = 0.0
 
-    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray) -> None:
+    def learn(
+        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
+    ) -> None:
         """The filter was updated; see the base class."""
-        super().learn(by_errors, innovation, bent)
-        self.evidence = (
-            max(
-                self.evidence_of(slice(first, first + POSE)) for first in range(0, self.count, POSE)
-            )
-            - self.evidence_of()
+        super().learn(by_errors, innovation, bent, wall)
+        self.evidence = max(
+            self.evidence_of(slice(first, first + POSE)) for first in range(0, self.count, POSE)
         )
 
 
@@ -137,19 +153,16 @@ class RangeErrors(SeparateBias):
     def __init__(self, stds: tuple[float, ...]) -> None:
         super().__init__(np.diag(np.square(stds)))
         self.stds = stds
-        # Information and score from before the state was corrected, for what is reported.
-        self._earlier = np.zeros_like(self._information[0]), np.zeros_like(self._score[0])
+        # The sums from before the state was corrected, for what is reported.
+        self._earlier = np.zeros_like(self._sums[0, 0])
 
     def corrected(self, errors: FloatArray) -> "RangeErrors":
         """The further errors after the state was corrected for the first of the errors (m,), which
         begin anew.
         """
-        further, (information, score) = RangeErrors(self.stds), self._earlier
-        information = information + self._information[0]
-        further._earlier = (
-            information,
-            score + self._score[0] - information[:, : len(errors)] @ errors,
-        )
+        further = RangeErrors(self.stds)
+        further._earlier = self._earlier + self._sums[0, 0]
+        further._earlier[:, -1] -= further._earlier[:, : len(errors)] @ errors
         return further
 
     @property
@@ -158,14 +171,12 @@ class RangeErrors(SeparateBias):
 
         Each is compared with the other one alone, so that none is taken for the other one.
         """
-        return self.evidence_of(LENGTHS) - np.array(
-            [self.evidence_of(np.array([other])) for other in (1, 0)]
-        )
+        return np.array([self.evidence_of(LENGTHS, np.array([other])) for other in (1, 0)])
 
     @property
     def delay_evidence(self) -> float:
         """The same for a delay, compared with bias and opening angle."""
-        return self.evidence_of(COMMON) - self.evidence_of(LENGTHS)
+        return self.evidence_of(COMMON, LENGTHS)
 
     @property
     def turns(self) -> FloatArray:
@@ -178,15 +189,6 @@ class RangeErrors(SeparateBias):
         errors, covariance = self._estimate_of_all
         return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
 
-    def discounted(self, share: float) -> "RangeErrors":
-        """What is known of the errors if each reading says only a share of what it was taken to
-        say.
-        """
-        other = RangeErrors(self.stds)
-        other._information, other._score = share * self._information, share * self._score
-        other._bent = share * self._bent
-        return other
-
     @property
     def covariance_of_turns(self) -> FloatArray:
         """What remains unknown of the directions of the beams (n_beams, n_beams), rad^2."""
@@ -197,9 +199,8 @@ class RangeErrors(SeparateBias):
         """The errors (k,) and their covariance (k, k) by all readings, also by those from before a
         correction.
         """
-        (information, score), own = self._earlier, self._information[0]
-        information, score = information + own, score + self._score[0]
-        return _estimated(self._prior, information, score)
+        sums = (self._earlier + self._sums[0, 0])[:-1]
+        return _estimated(self._prior, sums[:, :-1], sums[:, -1])
 
     @property
     def turn_gain(self) -> float:
@@ -216,10 +217,7 @@ class RangeErrors(SeparateBias):
         It is the smaller one of two: turned beams against none, and turned beams beside a bias and
         another opening angle against these alone.
         """
-        return min(
-            self.evidence_of(TURNS) - self.evidence_of(),
-            self.evidence_of(slice(None)) - self.evidence_of(COMMON),
-        )
+        return min(self.evidence_of(TURNS), self.evidence_of(slice(None), COMMON))
 
 
 class ConstantErrors:
@@ -240,12 +238,14 @@ class ConstantErrors:
         """Number of all the errors."""
         return sum(errors.count for errors in (self.odometry, self.ranges) if errors is not None)
 
-    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray) -> None:
+    def learn(
+        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
+    ) -> None:
         """The filter was updated: see :meth:`SeparateBias.learn`."""
         first = 0
         for errors in (self.odometry, self.ranges):
             if errors is not None:
-                errors.learn(by_errors[:, first : first + errors.count], innovation, bent)
+                errors.learn(by_errors[:, first : first + errors.count], innovation, bent, wall)
                 first += errors.count
 
 
@@ -260,6 +260,7 @@ def note_update(
     moved_again: FloatArray,
     direct: FloatArray | None,
     by_curvature: FloatArray,
+    wall: int,
 ) -> None:
     """Change V as an update of a ``Filter`` by m measurements has changed its state, and estimate
     the errors anew.
@@ -279,6 +280,8 @@ def note_update(
         one.
     by_curvature
         Derivative (m,) of the measurements by the curvature of their wall.
+    wall
+        Number of the wall.
 
     Raises
     ------
@@ -296,7 +299,7 @@ def note_update(
         measured[:, -direct.shape[1] :] += direct
     scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation, by_curvature)))
     by_error = scaled[:, :-2]
-    ekf.errors.learn(by_error, scaled[:, -2], scaled[:, -1])
+    ekf.errors.learn(by_error, scaled[:, -2], scaled[:, -1], wall)
     by_errors -= whitened.T @ by_error
     by_errors += moved_again @ by_errors[:POSE]
 
@@ -309,6 +312,7 @@ def note_readings(
     readings: FloatArray,
     theta: float,
     clones_from: int,
+    wall: int,
 ) -> None:
     """The same after what ``kernels.updates.update_by_readings`` has found for a line, whose normal
     is at ``theta``.
@@ -322,7 +326,17 @@ def note_readings(
         )
     curved = 0.5 * expected[:, 5] ** 2 / expected[:, 4]
     note_update(
-        ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct, curved
+        ekf,
+        jacobian,
+        columns,
+        innovation,
+        factor,
+        whitened,
+        moved,
+        moved_again,
+        direct,
+        curved,
+        wall,
     )
 
 
