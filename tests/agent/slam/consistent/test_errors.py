@@ -428,13 +428,29 @@ def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -
 
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
     generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
-    errors, jacobian = OdometryErrors(1, prior), generator.normal(size=(5, 3))
-    innovation, noise = 0.02 * generator.normal(size=5), 1e-4 * np.eye(5)
-    errors.learn(100.0 * jacobian, 100.0 * innovation)
+    errors, straight = OdometryErrors(1, prior), np.zeros(5)
+    jacobian, noise = generator.normal(size=(10, 3)), 1e-4 * np.eye(10)
+    innovation = jacobian @ (0.02, -0.04, 0.06) + 0.01 * generator.normal(size=10)
+    errors.learn(100.0 * jacobian[:5], 100.0 * innovation[:5], straight, 0)
+    assert errors.evidence <= 0.0, "another wall has to say it, too"
+    errors.learn(100.0 * jacobian[5:], 100.0 * innovation[5:], straight, 1)
     wide = noise + jacobian @ prior @ jacobian.T
     chi_squares = [innovation @ np.linalg.solve(each, innovation) for each in (noise, wide)]
     sizes = [np.linalg.slogdet(each)[1] for each in (noise, wide)]
     assert errors.evidence == pytest.approx(chi_squares[0] - chi_squares[1] + sizes[0] - sizes[1])
+
+
+def test_what_a_curvature_of_the_walls_explains_is_no_error_of_the_robot() -> None:
+    """Each wall has a curvature of its own, which looks like an error in many of them."""
+    generator, prior = np.random.default_rng(2), np.diag([1e-4, 4e-4, 9e-4])
+    curved, uneven = OdometryErrors(1, prior), OdometryErrors(1, prior)
+    for wall in range(40):
+        jacobian, bent = 100.0 * generator.normal(size=(5, 3)), 40.0 * generator.random(5)
+        noise = generator.normal(size=5)
+        curved.learn(jacobian, bent * generator.normal(0.0, 0.25) + noise, bent, wall)
+        uneven.learn(jacobian, jacobian @ (0.01, -0.01, 0.0) + noise, bent, wall)
+    assert curved.evidence < 0.0 < 100.0 < curved.bend_evidence
+    assert uneven.bend_evidence < 0.0 < 100.0 < uneven.evidence
 
 
 def uneven_laps(
