@@ -64,19 +64,6 @@ class SeparateBias:
         evidence = self._evidences_of(part).max(axis=-1) - self._evidences_of(against).max(axis=-1)
         return float(evidence[0] if evidence.min() > 0.0 else evidence.min())
 
-    @property
-    def bend_evidence(self) -> float:
-        """Twice the logarithm of the Bayes factor for curved walls, against errors and straight
-        walls.
-        """
-        straight = self._evidences_of(slice(None)).item(0)
-        return float(self._evidences_of(NONE)[0].max()) - max(straight, 0.0)
-
-    @property
-    def likeliest_bend(self) -> float:
-        """The likeliest curvature of walls, 1/m, if there are no errors."""
-        return BENDS.item(int(self._evidences_of(NONE)[0].argmax()))
-
     def _evidences_of(self, part: slice | IntArray) -> FloatArray:
         """Twice the logarithm of the Bayes factor for some of the errors against no errors and
         straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
@@ -165,6 +152,15 @@ class RangeErrors(SeparateBias):
         further._earlier = self._earlier + self._sums[0, 0]
         further._earlier[:, -1] -= further._earlier[:, : len(errors)] @ errors
         return further
+
+    @property
+    def bend(self) -> tuple[float, float]:
+        """The likeliest curvature of walls, 1/m, and twice the logarithm of the Bayes factor for it
+        against straight walls, with these errors or without.
+        """
+        bent, straight = self._evidences_of(NONE)[0], self._evidences_of(slice(None)).item(0)
+        best = int(bent.argmax())
+        return BENDS.item(best), bent.item(best) - max(straight, 0.0)
 
     @property
     def length_evidence(self) -> FloatArray:
