@@ -293,6 +293,7 @@ def state_of(states: States, number: int) -> States:
             ekf.clones[number],
             ekf.counts[number],
             ekf.errors,
+            ekf.bend,
         ),
         tables.Walls(
             walls.table[number],

@@ -41,7 +41,9 @@ class AssumedSensor:
         self.sensor, config = sensor, self._config
         # Turned beams say nothing of noise and opening angle, and while they are known roughly,
         # they look like both.
-        self._is_specified = sensor._replace(turns=(), delay=0.0, broken=(), bend=0.0) == self.specified
+        self._is_specified = (
+            sensor._replace(turns=(), delay=0.0, broken=(), bend=0.0) == self.specified
+        )
         ratio = config.least_ratio if self._is_specified else config.further_ratio
         self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
         self._is_counted = False

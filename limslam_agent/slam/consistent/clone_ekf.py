@@ -261,7 +261,17 @@ class CloneEKF:
             change,
         )
         note_update(
-            arrays, np.ones((1, 1)), column, innovation, factor, whitened, nothing, moved, None, np.zeros(1), 0
+            arrays,
+            np.ones((1, 1)),
+            column,
+            innovation,
+            factor,
+            whitened,
+            nothing,
+            moved,
+            None,
+            np.zeros(1),
+            0,
         )
 
     def predict(self, motion: Motion, robot: int = 0) -> None:

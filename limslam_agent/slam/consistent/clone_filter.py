@@ -220,7 +220,9 @@ def observe(
     again = correct_state(
         ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change
     )
-    note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts), index)
+    note_readings(
+        ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts), index
+    )
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -18,7 +18,6 @@ from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
-
 BENDS = np.array([0.0, 0.03, 0.06, 0.12, 0.25, 0.5])
 """Standard deviations of the curvature of walls that are considered, 1/m."""
 
@@ -77,14 +76,13 @@ class SeparateBias:
         gains = gains[..., 0, 0] - np.linalg.slogdet(narrowed)[1]
         return np.asarray(gains + chi_squares[:, :1] - chi_squares)
 
-    def learn(
-        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
-    ) -> None:
-        """The filter was updated by measurements of a wall: derivative (m, k) by the errors,
-        innovation (m,), and derivative (m,) by the curvature of the wall, whitened.
+    def learn(self, whitened: FloatArray, wall: int) -> None:
+        """The filter was updated by measurements of a wall: whitened derivatives (m, k) by the
+        errors, innovation, and derivative by the curvature of the wall, side by side (m, k + 2).
         """
-        joined, sizes = np.column_stack((by_errors, innovation)), BENDS**2 * (bent @ bent)
-        shared, shares = joined.T @ bent, BENDS**2 / (1.0 + sizes)
+        joined, bent = whitened[:, :-1], whitened[:, -1]
+        shared, sizes = joined.T @ bent, BENDS**2 * (bent @ bent)
+        shares = BENDS**2 / (1.0 + sizes)
         sums = joined.T @ joined - shares[:, None, None] * np.outer(shared, shared)
         sums[:, -1, -1] += np.log1p(sizes)
         self._sums += sums
@@ -108,11 +106,9 @@ class OdometryErrors(SeparateBias):
         super().__init__(np.asarray(np.kron(np.eye(robots), prior), dtype=float))
         self.evidence = 0.0
 
-    def learn(
-        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
-    ) -> None:
+    def learn(self, whitened: FloatArray, wall: int) -> None:
         """The filter was updated; see the base class."""
-        super().learn(by_errors, innovation, bent, wall)
+        super().learn(whitened, wall)
         self.evidence = max(
             self.evidence_of(slice(first, first + POSE)) for first in range(0, self.count, POSE)
         )
@@ -235,12 +231,12 @@ class ConstantErrors:
         """Number of all the errors."""
         return sum(errors.count for errors in (self.odometry, self.ranges) if errors is not None)
 
-    def learn(self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int) -> None:
+    def learn(self, whitened: FloatArray, wall: int) -> None:
         """The filter was updated: see :meth:`SeparateBias.learn`."""
         first = 0
         for errors in (self.odometry, self.ranges):
             if errors is not None:
-                errors.learn(by_errors[:, first : first + errors.count], innovation, bent, wall)
+                errors.learn(whitened[:, np.r_[first : first + errors.count, -2, -1]], wall)
                 first += errors.count
 
 
@@ -293,9 +289,8 @@ def note_update(
     if direct is not None:
         measured[:, -direct.shape[1] :] += direct
     scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation, by_curvature)))
-    by_error = scaled[:, :-2]
-    ekf.errors.learn(by_error, scaled[:, -2], scaled[:, -1], wall)
-    by_errors -= whitened.T @ by_error
+    ekf.errors.learn(scaled, wall)
+    by_errors -= whitened.T @ scaled[:, :-2]
     by_errors += moved_again @ by_errors[:POSE]
 
 
@@ -321,7 +316,17 @@ def note_readings(
         )
     curved = 0.5 * expected[:, 5] ** 2 / expected[:, 4]
     note_update(
-        ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct, curved, wall
+        ekf,
+        jacobian,
+        columns,
+        innovation,
+        factor,
+        whitened,
+        moved,
+        moved_again,
+        direct,
+        curved,
+        wall,
     )
 
 
