@@ -26,6 +26,7 @@ _SENSOR = {
     "noise_m": ("noise of {:.1f} cm", 100.0),
     "noise_growth_per_m": ("further noise of {:.1f} cm at 1 m", 100.0),
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
+    "wall_curvature_per_m": ("walls curve by {:.0f} deg a metre", math.degrees(1.0)),
 }
 _SIZES = {
     "left": ("left wheel {:+.2f} +- {:.2f} %", 100.0),

@@ -65,7 +65,7 @@ class AssumedSensor:
         self._noise.count(residuals, ranges)
         self._is_counted = True
 
-    def correction(self, errors: RangeErrors | None, bend_evidence: float) -> RangeSensor | None:
+    def correction(self, errors: RangeErrors | None) -> RangeSensor | None:
         """The sensor that the readings so far require; None if the assumed one will do, or nothing
         is new.
 
@@ -81,8 +81,9 @@ class AssumedSensor:
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
-        if bend_evidence > config.gate:
-            return sensor._replace(bend=math.hypot(sensor.bend, errors.likeliest_bend))
+        bend, of_bend = errors.bend
+        if of_bend > config.gate:
+            return sensor._replace(bend=math.hypot(sensor.bend, bend))
         turned = self._turned(errors)
         if turned is not None:
             return turned

@@ -201,12 +201,6 @@ class CloneEKF:
         """
         return self._errors.ranges
 
-    @property
-    def bend_evidence(self) -> float:
-        """``SeparateBias.bend_evidence`` against the errors of odometry and of ranges."""
-        both = self._errors.odometry, self._errors.ranges
-        return min((each.bend_evidence for each in both if each is not None), default=0.0)
-
     def calibrate(self) -> None:
         """Make the odometry's calibration a part of the state, with what all updates so far say of
         it.

@@ -393,7 +393,7 @@ class ConsistentEstimator(Estimator):
         """Take the sensor's errors as estimated, if the readings say that they are not as
         assumed.
         """
-        found = self._sensor.correction(self.filter.range_errors, self.filter.bend_evidence)
+        found = self._sensor.correction(self.filter.range_errors)
         if found is None:
             found = self._scaled()
         elif found.places != self.sensor.places:  # what was taken for a scale may have been this

@@ -63,19 +63,6 @@ class SeparateBias:
         evidence = self._evidences_of(part).max(axis=-1) - self._evidences_of(against).max(axis=-1)
         return float(evidence[0] if evidence.min() > 0.0 else evidence.min())
 
-    @property
-    def bend_evidence(self) -> float:
-        """Twice the logarithm of the Bayes factor for curved walls, against errors and straight
-        walls.
-        """
-        straight = self._evidences_of(slice(None)).item(0)
-        return float(self._evidences_of(NONE)[0].max()) - max(straight, 0.0)
-
-    @property
-    def likeliest_bend(self) -> float:
-        """The likeliest curvature of walls, 1/m, if there are no errors."""
-        return float(BENDS[self._evidences_of(NONE)[0].argmax()])
-
     def _evidences_of(self, part: slice | IntArray) -> FloatArray:
         """Twice the logarithm of the Bayes factor for some of the errors against no errors and
         straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
@@ -89,14 +76,13 @@ class SeparateBias:
         gains = gains[..., 0, 0] - np.linalg.slogdet(narrowed)[1]
         return np.asarray(gains + chi_squares[:, :1] - chi_squares)
 
-    def learn(
-        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
-    ) -> None:
-        """The filter was updated by measurements of a wall: derivative (m, k) by the errors,
-        innovation (m,), and derivative (m,) by the curvature of the wall, whitened.
+    def learn(self, whitened: FloatArray, wall: int) -> None:
+        """The filter was updated by measurements of a wall: whitened derivatives (m, k) by the
+        errors, innovation, and derivative by the curvature of the wall, side by side (m, k + 2).
         """
-        joined, sizes = np.column_stack((by_errors, innovation)), BENDS**2 * (bent @ bent)
-        shared, shares = joined.T @ bent, BENDS**2 / (1.0 + sizes)
+        joined, bent = whitened[:, :-1], whitened[:, -1]
+        shared, sizes = joined.T @ bent, BENDS**2 * (bent @ bent)
+        shares = BENDS**2 / (1.0 + sizes)
         sums = joined.T @ joined - shares[:, None, None] * np.outer(shared, shared)
         sums[:, -1, -1] += np.log1p(sizes)
         self._sums += sums
@@ -120,11 +106,9 @@ class OdometryErrors(SeparateBias):
         super().__init__(np.asarray(np.kron(np.eye(robots), prior), dtype=float))
         self.evidence = 0.0
 
-    def learn(
-        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
-    ) -> None:
+    def learn(self, whitened: FloatArray, wall: int) -> None:
         """The filter was updated; see the base class."""
-        super().learn(by_errors, innovation, bent, wall)
+        super().learn(whitened, wall)
         self.evidence = max(
             self.evidence_of(slice(first, first + POSE)) for first in range(0, self.count, POSE)
         )
@@ -164,6 +148,15 @@ class RangeErrors(SeparateBias):
         further._earlier = self._earlier + self._sums[0, 0]
         further._earlier[:, -1] -= further._earlier[:, : len(errors)] @ errors
         return further
+
+    @property
+    def bend(self) -> tuple[float, float]:
+        """The likeliest curvature of walls, 1/m, and twice the logarithm of the Bayes factor for it
+        against straight walls, with these errors or without.
+        """
+        bent, straight = self._evidences_of(NONE)[0], self._evidences_of(slice(None)).item(0)
+        best = int(bent.argmax())
+        return BENDS.item(best), bent.item(best) - max(straight, 0.0)
 
     @property
     def length_evidence(self) -> FloatArray:
@@ -238,14 +231,12 @@ class ConstantErrors:
         """Number of all the errors."""
         return sum(errors.count for errors in (self.odometry, self.ranges) if errors is not None)
 
-    def learn(
-        self, by_errors: FloatArray, innovation: FloatArray, bent: FloatArray, wall: int
-    ) -> None:
+    def learn(self, whitened: FloatArray, wall: int) -> None:
         """The filter was updated: see :meth:`SeparateBias.learn`."""
         first = 0
         for errors in (self.odometry, self.ranges):
             if errors is not None:
-                errors.learn(by_errors[:, first : first + errors.count], innovation, bent, wall)
+                errors.learn(whitened[:, np.r_[first : first + errors.count, -2, -1]], wall)
                 first += errors.count
 
 
@@ -298,9 +289,8 @@ def note_update(
     if direct is not None:
         measured[:, -direct.shape[1] :] += direct
     scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation, by_curvature)))
-    by_error = scaled[:, :-2]
-    ekf.errors.learn(by_error, scaled[:, -2], scaled[:, -1], wall)
-    by_errors -= whitened.T @ by_error
+    ekf.errors.learn(scaled, wall)
+    by_errors -= whitened.T @ scaled[:, :-2]
     by_errors += moved_again @ by_errors[:POSE]
 
 

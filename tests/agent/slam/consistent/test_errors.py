@@ -27,7 +27,12 @@ from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import DELAY, OdometryErrors, by_range_errors
+from limslam_agent.slam.consistent.separate_bias import (
+    DELAY,
+    OdometryErrors,
+    RangeErrors,
+    by_range_errors,
+)
 from limslam_agent.slam.core.motion import (
     AS_SPECIFIED,
     OdometryCalibration,
@@ -427,30 +432,62 @@ def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -
 
 
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
-    generator, prior = np.random.default_rng(4), np.diag([1e-4, 4e-4, 9e-4])
-    errors, straight = OdometryErrors(1, prior), np.zeros(5)
-    jacobian, noise = generator.normal(size=(10, 3)), 1e-4 * np.eye(10)
-    innovation = jacobian @ (0.02, -0.04, 0.06) + 0.01 * generator.normal(size=10)
-    errors.learn(100.0 * jacobian[:5], 100.0 * innovation[:5], straight, 0)
-    assert errors.evidence <= 0.0, "another wall has to say it, too"
-    errors.learn(100.0 * jacobian[5:], 100.0 * innovation[5:], straight, 1)
+    generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
+    errors, noise = OdometryErrors(1, prior), 1e-4 * np.eye(15)
+    jacobian = generator.normal(size=(15, 3))
+    innovation = jacobian @ [0.05, 0.05, 0.05] + 0.01 * generator.normal(size=15)
+    whitened = 100.0 * np.column_stack((jacobian, innovation, np.zeros(15)))
+    for wall in range(3):
+        errors.learn(whitened[5 * wall : 5 * wall + 5], wall)
     wide = noise + jacobian @ prior @ jacobian.T
     chi_squares = [innovation @ np.linalg.solve(each, innovation) for each in (noise, wide)]
     sizes = [np.linalg.slogdet(each)[1] for each in (noise, wide)]
     assert errors.evidence == pytest.approx(chi_squares[0] - chi_squares[1] + sizes[0] - sizes[1])
 
 
-def test_what_a_curvature_of_the_walls_explains_is_no_error_of_the_robot() -> None:
-    """Each wall has a curvature of its own, which looks like an error in many of them."""
-    generator, prior = np.random.default_rng(2), np.diag([1e-4, 4e-4, 9e-4])
-    curved, uneven = OdometryErrors(1, prior), OdometryErrors(1, prior)
-    for wall in range(40):
-        jacobian, bent = 100.0 * generator.normal(size=(5, 3)), 40.0 * generator.random(5)
-        noise = generator.normal(size=5)
-        curved.learn(jacobian, bent * generator.normal(0.0, 0.25) + noise, bent, wall)
-        uneven.learn(jacobian, jacobian @ (0.01, -0.01, 0.0) + noise, bent, wall)
-    assert curved.evidence < 0.0 < 100.0 < curved.bend_evidence
-    assert uneven.bend_evidence < 0.0 < 100.0 < uneven.evidence
+def seen_on_walls(innovations: FloatArray, bent: float) -> RangeErrors:
+    """What walls say by whitened innovations (n, 8) of a turn of the only beam, if the walls are
+    curved by a share of what such a beam would show.
+    """
+    errors, generator = RangeErrors((0.02, 0.05, 1.0, 0.05)), np.random.default_rng(2)
+    for wall, innovation in enumerate(innovations):
+        by_turn = np.linspace(10.0, 60.0, 8)
+        by_errors = np.column_stack((np.zeros((8, 3)), by_turn))
+        noise = 0.1 * generator.normal(size=8)
+        errors.learn(np.column_stack((by_errors, innovation + noise, bent * by_turn)), wall)
+    return errors
+
+
+def test_an_error_counts_if_several_walls_say_it() -> None:
+    turned = np.tile(0.08 * np.linspace(10.0, 60.0, 8), (4, 1))
+    assert seen_on_walls(turned, 0.0).turn_evidence > 12.0
+    one_wall = np.array([[4.0], [0.0], [0.0], [0.0]]) * turned
+    assert seen_on_walls(one_wall, 0.0).turn_evidence <= 0.0
+
+
+def test_walls_that_are_curved_explain_what_a_turned_beam_does() -> None:
+    signs = np.resize([1.0, -1.0], (12, 1))
+    errors = seen_on_walls(signs * 0.08 * np.linspace(10.0, 60.0, 8), 0.4)
+    curvature, evidence = errors.bend
+    assert 0.1 < curvature < 0.5
+    assert evidence > 12.0
+    assert errors.turn_evidence < 0.0
+
+
+def test_a_robot_in_a_round_room_believes_its_wheels_and_its_sensor() -> None:
+    angles = np.linspace(0.0, 2.0 * math.pi, 49)
+    ring = 2.0 * np.column_stack((np.cos(angles), np.sin(angles)))
+    stops = [(1.2 * math.cos(angle), 1.2 * math.sin(angle)) for angle in angles[::8]]
+    start = np.array([1.2, 0.0, 0.0])
+    observations, _ = drive(
+        np.hstack((ring[:-1], ring[1:])), start, along(2 * stops), FOUR_BEAMS, NOISE
+    )
+    mapper = Mapper(FOUR_BEAMS, preset("graph", NOMINAL), start)
+    for seen in observations:
+        mapper.step(seen)
+    assert mapper.slam.sensor.bend > 0.0
+    assert not mapper.slam.sensor.turns
+    assert mapper.slam.odometry_calibration is None
 
 
 def uneven_laps(
