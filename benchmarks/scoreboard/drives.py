@@ -11,6 +11,7 @@ import numpy as np
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import Fault, drawn_slips, with_fault
 from benchmarks.suite.person import ranges_to, walk
+from limslam_agent.logs.lost_reports import gaps_in
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED
@@ -88,6 +89,8 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
             fault.script = to_person + row.noise * generator.standard_normal(ranges.shape)
         ranges, wheels, arrives = with_fault(fault, ranges, wheels, time)
         time, true = time[arrives], true[arrives]
+    # As a reader of logs finds them.
+    gaps = gaps_in(wheels, time, robot.control_period)
     return RecordedLog(
         robot=robot,
         time=time,
@@ -96,6 +99,7 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
         start_pose=true[0],
         wheels=wheels,
         true_pose=true,
+        gaps=tuple(gaps.tolist()),
     )
 
 
