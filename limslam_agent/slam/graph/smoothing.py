@@ -115,16 +115,12 @@ def bundle_equations(
 
 
 def cautious_equations(
-    keys: KeyPoses,
-    trajectory: Trajectory,
-    config: GraphConfig,
-    range_std: float,
-    relations: Relations | None = None,
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
 ) -> NormalEquations:
-    """Normal equations of a smoothed trajectory by odometry, links along the way and loops, for its
+    """Normal equations of a smoothed trajectory by odometry and links along the way, for its
     covariances.
     """
-    return _equations(keys, trajectory, config, range_std, relations, link_factor=_INFLATION)
+    return _equations(keys, trajectory, config, range_std, link_factor=_INFLATION)
 
 
 def motion_covariances(
