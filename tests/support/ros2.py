@@ -10,7 +10,7 @@ import threading
 import time
 from pathlib import Path
 
-PACE = 5.0
+PACE = 2.5
 """How much faster than real time a bag is played."""
 
 
