@@ -26,7 +26,9 @@ from limslam_env.interface import Observation
 HOUR = 36_000
 """Steps of 0.1 s in an hour."""
 
-_WORLD, _NOISE, _SPEED = "env2", 0.02, 0.3
+_WORLD = "env2"
+_NOISE = 0.02
+_SPEED = 0.3
 _FIRST = 900  # steps in which the robot drives before it stands
 _JUMP = np.array([2.0, 2.0])  # m: travel of the wheels by which a robot is lost
 
@@ -45,7 +47,8 @@ def _laps(robot: RobotSpec) -> Iterator[Observation]:
 
 def _standing(robot: RobotSpec, seen: Observation) -> Iterator[Observation]:
     """What a robot observes that stands where it has seen something, for ever."""
-    generator, ranges = np.random.default_rng(0), np.asarray(seen["ranges"], dtype=float)
+    generator = np.random.default_rng(0)
+    ranges = np.asarray(seen["ranges"], dtype=float)
     noise = np.where(ranges < robot.too_far, _NOISE, 0.0)
     while True:
         yield Observation(
@@ -72,7 +75,8 @@ def stands(config: AgentConfig | None = None) -> Iterator[None]:
 def lost(config: AgentConfig | None = None) -> Iterator[None]:
     """A robot stands after its odometry has jumped, and it is lost."""
     robot = RobotSpec()
-    mapper, laps = Mapper(robot, config), _laps(robot)
+    mapper = Mapper(robot, config)
+    laps = _laps(robot)
     yield from _stands_after(mapper, itertools.islice(_jumping(laps), _FIRST))
 
 
@@ -109,7 +113,8 @@ def blind(config: AgentConfig | None = None) -> Iterator[None]:
     """The graph of a log of poses: a robot moves where its beams see nothing."""
     del config
     robot = RobotSpec()
-    graph, number = _graph(robot), 0
+    graph = _graph(robot)
+    number = 0
     nothing = np.zeros(len(robot.beams), dtype=bool)
     while True:
         pose = np.array([0.1 * _SPEED * number, 0.0, 0.0])
@@ -122,7 +127,8 @@ def log(config: AgentConfig | None = None) -> Iterator[None]:
     """The graph of a log of poses: laps."""
     del config
     robot = RobotSpec()
-    graph, pose = _graph(robot), np.zeros(3)
+    graph = _graph(robot)
+    pose = np.zeros(3)
     for number, seen in enumerate(_laps(robot)):
         wheels = np.asarray(seen["wheels"], dtype=float)
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, robot.axle)))
@@ -148,7 +154,8 @@ def hours_of(case: str, hours: int, steps: int = HOUR) -> FloatArray:
     """Most memory so far, MB, and time of a step in the mean and of the slowest one, ms, after each
     hour (hours, 3).
     """
-    going, rows = CASES[case](), []
+    going = CASES[case]()
+    rows = []
     for _ in range(hours):
         spent = np.empty(steps)
         for number in range(steps):

@@ -25,13 +25,17 @@ Loop: TypeAlias = Callable[[], int]
 
 Clock: TypeAlias = Callable[[], float]
 
-CARTPOLE, SINGLE = "CartPole of numpy, 1024", "single environment"
-LARGE, BELIEFS = "batch of 8192", "beliefs of 256"
+CARTPOLE = "CartPole of numpy, 1024"
+SINGLE = "single environment"
+LARGE = "batch of 8192"
+BELIEFS = "beliefs of 256"
 BURST = 0.02
 """Length of a burst, s."""
 
 DEVICE_COUNTS = 4096, 65_536, 1_048_576
-_ROUNDS, _RUNS, _DEVICE_BURSTS = 40, 5, 7
+_ROUNDS = 40
+_RUNS = 5
+_DEVICE_BURSTS = 7
 _STEPS = 200  # of a burst of one environment
 # steps before batches are timed: in the first ones, far more is seen for the first time than later
 _FIRST = 400
@@ -55,7 +59,8 @@ def rates_in_turn(
         loop()
     for _ in range(rounds):
         for name, loop in candidates.items():
-            begin, done = clock(), 0
+            begin = clock()
+            done = 0
             while clock() - begin < BURST:
                 done += loop()
             found[name].append(done / (clock() - begin))

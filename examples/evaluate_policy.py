@@ -14,5 +14,6 @@ def bounce(observation: Observation) -> tuple[float, float]:
 explorer = LimSlamAgent(RobotSpec(), preset("consistent", NominalNoise(range_std=0.02)))
 for name, actor in {"bounce": bounce, "frontier": explorer}.items():
     scores = medians(evaluate(actor, ENV, range(2), max_time=90.0, sensor_noise=0.02))
-    coverage, touches = scores["coverage_true"], scores["collisions"]
+    coverage = scores["coverage_true"]
+    touches = scores["collisions"]
     print(f"{name:8}  coverage {coverage:.3f}  collisions {touches:.0f}")

@@ -64,7 +64,8 @@ class FakeRobot:
 
     def __init__(self, *, in_real_time: bool) -> None:
         self._random = np.random.default_rng(0)
-        self._pose, self._travel = np.array([1.0, 0.6, 0.3]), np.zeros(2)
+        self._pose = np.array([1.0, 0.6, 0.3])
+        self._travel = np.zeros(2)
         self._pace = SPEC.control_period if in_real_time else 0.0
 
     def read_wheels(self) -> tuple[float, float]:
@@ -94,7 +95,8 @@ class FakeRobot:
     def send_wheel_speeds(self, left: float, right: float) -> None:
         """The wheels turn for one period; walls stop the body and let the wheels spin."""
         self._travel = np.array([left, right]) * SPEC.control_period
-        ahead, turn = self._travel.mean(), (self._travel[1] - self._travel[0]) / SPEC.axle
+        ahead = self._travel.mean()
+        turn = (self._travel[1] - self._travel[0]) / SPEC.axle
         middle = self._pose[2] + 0.5 * turn
         place = self._pose[:2] + ahead * np.array([math.cos(middle), math.sin(middle)])
         self._pose = np.array([*np.clip(place, RADIUS, self.ROOM - RADIUS), self._pose[2] + turn])
@@ -111,10 +113,12 @@ def explore(robot: Robot, agent: LimSlamAgent, steps: int, log: Path | None = No
     ``log`` is a text file to write, which ``limslam replay`` can read.
     """
     rows = ["t,x,y,theta," + ",".join(f"r_{math.degrees(beam.angle):g}" for beam in SPEC.beams)]
-    step, path = 0, []
+    step = 0
+    path = []
     try:
         while step < steps and not agent.done:
-            wheels, ranges = robot.read_wheels(), robot.read_ranges()
+            wheels = robot.read_wheels()
+            ranges = robot.read_ranges()
             action = agent.act({"wheels": np.array(wheels), "ranges": np.array(ranges)})
             path.append(agent.slam.pose)
             # A log holds the pose by odometry, and ranges from the robot's centre. These beams

@@ -22,7 +22,8 @@ class DeadReckoning:
     """
 
     def __init__(self, robot: RobotSpec, start_pose: FloatArray) -> None:
-        self.robot, self.pose = robot, start_pose
+        self.robot = robot
+        self.pose = start_pose
 
     def step(self, observation: Observation) -> FloatArray:
         """The pose (3,) after an observation: x (m), y (m), heading (rad)."""

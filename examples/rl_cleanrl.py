@@ -17,8 +17,15 @@ from torch.distributions import Normal
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_env.envs.wrappers import FlattenObservation, NormalizedObservation
 
-NUM_ENVS, ROLLOUT, EPOCHS, MINIBATCHES = 4, 32, 4, 4
-GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.99, 0.95, 0.2, 0.001, 0.5
+NUM_ENVS = 4
+ROLLOUT = 32
+EPOCHS = 4
+MINIBATCHES = 4
+GAMMA = 0.99
+LAMBDA = 0.95
+CLIP = 0.2
+ENTROPY = 0.001
+VALUE = 0.5
 
 
 def make_env() -> gym.Env:
@@ -49,7 +56,8 @@ def advantages(rewards: Tensor, values: Tensor, dones: Tensor) -> Tensor:
 
     A truncated episode counts as ended here, as in CleanRL.
     """
-    found, after = torch.zeros_like(rewards), torch.zeros(rewards.shape[1])
+    found = torch.zeros_like(rewards)
+    after = torch.zeros(rewards.shape[1])
     for step in reversed(range(len(rewards))):
         goes_on = 1.0 - dones[step]
         error = rewards[step] + GAMMA * goes_on * values[step + 1] - values[step]

@@ -25,7 +25,8 @@ def main() -> None:
     model.learn(options.steps)
 
     observation, info = env.reset(seed=1)
-    state, is_first = None, True
+    state = None
+    is_first = True
     for _ in range(100):
         # The state is the network's memory; the start of an episode resets it.
         action, state = model.predict(observation, state, is_first, deterministic=True)

@@ -45,10 +45,8 @@ def main() -> None:
     critic = ValueOperator(
         nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 1)), in_keys=["observation"]
     )
-    advantage, objective = (
-        GAE(gamma=0.99, lmbda=0.95, value_network=critic),
-        ClipPPOLoss(actor, critic),
-    )
+    advantage = GAE(gamma=0.99, lmbda=0.95, value_network=critic)
+    objective = ClipPPOLoss(actor, critic)
     optimizer = torch.optim.Adam(objective.parameters(), lr=3e-4)
     done = 0
     while done < options.steps:

@@ -20,7 +20,8 @@ _RARE = 1e-4
 than this chance.
 """
 
-_LEAST_MISSES, _LEAST_SHARE = 5, 0.02
+_LEAST_MISSES = 5
+_LEAST_SHARE = 0.02
 """Number and share of drop-outs from which on a sensor counts as one that misses walls."""
 
 
@@ -40,8 +41,10 @@ class Dropouts:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._beams, count = robot.beam_table, len(robot.beams)
-        self._last, self.in_a_row = np.full((2, count), math.nan), np.zeros(count, dtype=np.int64)
+        self._beams = robot.beam_table
+        count = len(robot.beams)
+        self._last = np.full((2, count), math.nan)
+        self.in_a_row = np.zeros(count, dtype=np.int64)
         # Number of readings between two of the same wall, and how many of them saw nothing.
         self._counts = np.zeros(2, dtype=np.int64)
 
@@ -76,7 +79,8 @@ def short_series(nothing: BoolArray, lasting: int) -> BoolArray:
 
     ``nothing`` says which of them saw nothing.
     """
-    rows, count = np.arange(len(nothing))[:, None], len(nothing)
+    rows = np.arange(len(nothing))[:, None]
+    count = len(nothing)
     last_seen = np.maximum.accumulate(np.where(nothing, -1, rows), axis=0)
     next_seen = np.minimum.accumulate(np.where(nothing, count, rows)[::-1], axis=0)[::-1]
     return nothing & (next_seen - last_seen <= lasting)

@@ -45,10 +45,12 @@ _NOTED = 0.01
 _CODES = (65.535, 655.35, 65535.0)
 # The readings of a log end at this quantile of those of walls, and from this share of it on they
 # are near their end.
-_END, _NEAR_END = 0.98, 0.85
+_END = 0.98
+_NEAR_END = 0.85
 # Missing readings mean that nothing was seen if the odds of the readings beside them to be near the
 # end are so many times those of all readings, and that by so many standard deviations.
-_ODDS, _SIGMAS = 2.0, 3.0
+_ODDS = 2.0
+_SIGMAS = 3.0
 _FEWEST = 10  # readings beside missing ones that say something
 # m: no wall comes nearer by more than this between two readings.
 _LARGEST_STEP = 0.5
@@ -207,10 +209,12 @@ def _saw_nothing(is_empty: BoolArray, values: FloatArray, robot: RobotSpec) -> b
 
 def _meaning(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:
     """What missing readings mean by the readings beside them, and why."""
-    mask, readings = kind.mask, kind.readings
+    mask = kind.mask
+    readings = kind.readings
     is_known = readings > robot.too_near
     walls = readings[is_known & (readings < robot.too_far)]
-    begins, ends = mask[1:] & is_known[:-1], mask[:-1] & is_known[1:]
+    begins = mask[1:] & is_known[:-1]
+    ends = mask[:-1] & is_known[1:]
     beside = np.concatenate((readings[:-1][begins], readings[1:][ends]))
     if len(beside) < _FEWEST or not len(walls):
         return kind.default, "no other readings of the same beams stand beside them"
@@ -218,7 +222,8 @@ def _meaning(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:
         return "", ""  # what was measured last was near
     limit = _NEAR_END * float(np.quantile(walls, _END))
     share = float((readings[is_known] > limit).mean())
-    found, expected = float((beside > limit).sum()), share * len(beside)
+    found = float((beside > limit).sum())
+    expected = share * len(beside)
     is_odd = found * (1.0 - share) > _ODDS * share * (len(beside) - found)
     if is_odd and found - expected > _SIGMAS * math.sqrt(expected * (1.0 - share)):
         return "nothing", "they begin where the readings end near the longest range"

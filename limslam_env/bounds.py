@@ -31,7 +31,8 @@ MOST_PLACES = 1500
 _TIGHT = 3.0  # what a metre with less than GAP costs
 _FARTHEST = 4.0  # spacings; places farther apart are not joined by a straight line
 _ESCAPE = 0.1  # m from a start to where there is room
-_PAIRS_AT_ONCE, _NEAR = 1000, 16
+_PAIRS_AT_ONCE = 1000
+_NEAR = 16
 
 
 class Roadmap:
@@ -53,7 +54,8 @@ class Roadmap:
     def __init__(self, world: World, radius: float, start: FloatArray) -> None:
         self._cell = cell_for(world.edges, radius)
         space = free_space(world.edges, radius + LEAST_GAP, self._cell, world.obstacles)
-        self._origin, start = space.origin, np.asarray(start, dtype=float)
+        self._origin = space.origin
+        start = np.asarray(start, dtype=float)
         room = space.centres(space.free)
         offsets = np.hypot(*(room - start).T)
         if not len(room) or offsets.min() > _ESCAPE:
@@ -81,12 +83,14 @@ class Roadmap:
         """
         if self.is_free(first, second)[0]:
             return np.array([second])
-        begins, ends = self._seen_from(first), self._seen_from(second)
+        begins = self._seen_from(first)
+        ends = self._seen_from(second)
         if not len(begins) or not len(ends):
             return None
         lengths, before = self._tree(int(begins[0]))
         totals = lengths[ends] + np.hypot(*(self.places[ends] - second).T)
-        place, turns = int(ends[np.argmin(totals)]), [np.asarray(second)]
+        place = int(ends[np.argmin(totals)])
+        turns = [np.asarray(second)]
         while place >= 0:
             turns.append(self.places[place])
             place = int(before[place])
@@ -94,7 +98,8 @@ class Roadmap:
 
     def pulled(self, points: FloatArray) -> FloatArray:
         """A path (n, 2), m, without the points that a straight line can skip."""
-        kept, at = [points[0]], 0
+        kept = [points[0]]
+        at = 0
         while at < len(points) - 1:
             ahead = points[at + 1 :]
             free = np.flatnonzero(self.is_free(np.broadcast_to(points[at], ahead.shape), ahead))
@@ -119,7 +124,8 @@ class Roadmap:
         shares = np.minimum(steps / counts, 1.0)
         cells = self._cells(first[:, None] + spans[:, None] * shares[..., None])
         inside = (cells >= 0) & (cells < self._drivable.shape)
-        rows, columns = np.where(inside, cells, 0)[..., 0], np.where(inside, cells, 0)[..., 1]
+        rows = np.where(inside, cells, 0)[..., 0]
+        columns = np.where(inside, cells, 0)[..., 1]
         free = (inside.all(axis=-1) & self._drivable[rows, columns]).all(axis=1)
         tight = (self._tight[rows, columns] & (steps <= counts)).sum(axis=1) / (counts[:, 0] + 1.0)
         return np.where(free, lengths * (1.0 + (_TIGHT - 1.0) * tight), np.inf)
@@ -169,7 +175,8 @@ class Roadmap:
         costs = np.concatenate(
             [self._costs(places[batch[:, 0]], places[batch[:, 1]]) for batch in batches]
         )
-        pairs, costs = pairs[costs < np.inf], np.maximum(costs[costs < np.inf], 1e-9)
+        pairs = pairs[costs < np.inf]
+        costs = np.maximum(costs[costs < np.inf], 1e-9)
         return sparse.csr_array(
             (costs, (pairs[:, 0], pairs[:, 1])), shape=(len(places), len(places))
         )
@@ -206,11 +213,14 @@ class _FineWays:
         self._numbers = np.cumsum(drivable).reshape(drivable.shape) - 1
         self._cells = np.argwhere(drivable)
         cost = np.where(tight, _TIGHT, 1.0)
-        rows, columns, costs = [], [], []
+        rows = []
+        columns = []
+        costs = []
         for step in ((0, 1), (1, 0)):
             beyond = self._cells + step
             inside = ((beyond >= 0) & (beyond < drivable.shape)).all(axis=1)
-            here, there = self._cells[inside], beyond[inside]
+            here = self._cells[inside]
+            there = beyond[inside]
             joined = drivable[tuple(there.T)]
             (row, column), (other_row, other_column) = here[joined].T, there[joined].T
             rows.append(self._numbers[row, column])
@@ -225,7 +235,8 @@ class _FineWays:
 
     def way_to(self, cell: IntArray) -> IntArray:
         """Cells (k, 2), row and column, from the start to a cell."""
-        at, way = int(self._numbers[tuple(cell)]), []
+        at = int(self._numbers[tuple(cell)])
+        way = []
         while at >= 0:
             way.append(self._cells[at])
             at = int(self._before[at])
@@ -249,7 +260,9 @@ def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Sp
     spans = np.diff(points, axis=0)
     lengths = np.hypot(*spans.T)
     moves = lengths > 1e-9
-    points, spans, lengths = points[np.append(True, moves)], spans[moves], lengths[moves]
+    points = points[np.append(True, moves)]
+    spans = spans[moves]
+    lengths = lengths[moves]
     turns = wrap_angle(np.diff(np.append(start[2], np.arctan2(spans[:, 1], spans[:, 0]))))
     headings = start[2] + np.append(0.0, np.cumsum(turns))
     # Numbers of control steps: of the turn, of the drive, and of the rest of the step in which the

@@ -89,7 +89,8 @@ def _link(function: Any, is_kernel: bool) -> None:
     constant.
     """
     part = function._compiler  # noqa: SLF001
-    compile_core, of_types = part._compile_core, function.get_call_template  # noqa: SLF001
+    compile_core = part._compile_core  # noqa: SLF001
+    of_types = function.get_call_template
 
     def compile_by_linking(*arguments: Any) -> Any:
         with _without_collection():

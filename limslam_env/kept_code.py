@@ -29,7 +29,8 @@ def _environment(module: str, constants: list[Any], name: str) -> Any:
     known = environment.lookup_environment(name)
     if known is None:
         known = environment.Environment({"__name__": module})
-        known.consts[:], known.env_name = constants, name
+        known.consts[:] = constants
+        known.env_name = name
         environment.Environment._memo[name] = known  # noqa: SLF001
     return known
 
@@ -74,7 +75,8 @@ def keep(kept: Any, name: str, stamp: str) -> None:
         # A kernel that makes no arrays may hold functions that were compiled for one that does, and
         # they count references.
         rtsys.initialize(target)
-        usual, environment._rebuild_env = environment._rebuild_env, _environment  # noqa: SLF001
+        usual = environment._rebuild_env  # noqa: SLF001
+        environment._rebuild_env = _environment  # noqa: SLF001
         try:
             found = cache._load_overload(signature, target)  # noqa: SLF001
         except Exception:  # noqa: BLE001 # damaged files can raise anything
@@ -98,4 +100,5 @@ def keep(kept: Any, name: str, stamp: str) -> None:
         except Exception as error:  # noqa: BLE001 # the disk is full, or files cannot be replaced
             announce_once(f"compiled code cannot be kept in {cache.cache_path}: {error}")
 
-    cache.load_overload, cache.save_overload = load_or_announce, save_or_announce
+    cache.load_overload = load_or_announce
+    cache.save_overload = save_or_announce

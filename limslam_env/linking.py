@@ -199,7 +199,8 @@ def _equal(first: Any, second: Any) -> Any:
     """
     if type(first) is not type(second):
         return _usual_equal(first, second)
-    ours, theirs = first._values, second._values  # noqa: SLF001
+    ours = first._values  # noqa: SLF001
+    theirs = second._values  # noqa: SLF001
     if ours == theirs:
         return True
     defaults = first.options
@@ -236,7 +237,8 @@ def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool =
         _usual_lifetimes(processor, emit_dels, extend_lifetimes)
         return
     code.blocks = transforms.canonicalize_cfg(code.blocks)
-    code.variable_lifetime, code.generator_info = postproc.VariableLifetime(code.blocks), None
+    code.variable_lifetime = postproc.VariableLifetime(code.blocks)
+    code.generator_info = None
 
 
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:

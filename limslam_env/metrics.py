@@ -23,11 +23,17 @@ from limslam_env.worlds.regions import starting_cells
 from limslam_env.worlds.world import World
 
 SAMPLE_SPACING = 0.05  # m of wall that one sample stands for
-NEAR, NEARER = 0.10, 0.05  # m from a wall that still match it; NEARER in the metrics named _5cm
-WALL_ANGLE, DOOR_ANGLE = math.radians(10.0), math.radians(30.0)  # a match differs by less
+# m from a wall that still match it; NEARER in the metrics named _5cm
+NEAR = 0.10
+NEARER = 0.05
+# a match differs by less
+WALL_ANGLE = math.radians(10.0)
+DOOR_ANGLE = math.radians(30.0)
 SHORTEST_SIDE = 0.2  # m; below, sides of obstacles are not asked of a map
 KNOWN_START = 0.5  # m of travel that say nothing about consistency
-_STAND_SPACING, _FIRST_STANDS, _PAIRS_AT_ONCE = 0.1, 8, 1_000_000
+_STAND_SPACING = 0.1
+_FIRST_STANDS = 8
+_PAIRS_AT_ONCE = 1_000_000
 _ROBOT = -2
 
 WallSamples: TypeAlias = tuple[FloatArray, FloatArray, IntArray]
@@ -46,8 +52,10 @@ def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray
     """
     if len(true_xy) == 0:
         return np.zeros(3)
-    true_mean, mean = np.mean(true_xy, axis=0), np.mean(estimated_xy, axis=0)
-    target, source = true_xy - true_mean, estimated_xy - mean
+    true_mean = np.mean(true_xy, axis=0)
+    mean = np.mean(estimated_xy, axis=0)
+    target = true_xy - true_mean
+    source = estimated_xy - mean
     theta = 0.0
     # If all points lie in one place, only rounding errors remain, and their angle means nothing.
     if min(np.abs(target).max(), np.abs(source).max()) > 1e-9:
@@ -308,7 +316,8 @@ def closure_metrics(
     }
     counts = dict.fromkeys(("right", "wrong", "mixed"), 0)
     for older, younger in closures:
-        first, second = wall_of.get(older), wall_of.get(younger)
+        first = wall_of.get(older)
+        second = wall_of.get(younger)
         is_known = first is not None and second is not None
         counts[("right" if first == second else "wrong") if is_known else "mixed"] += 1
     return {f"closures_{name}": count for name, count in counts.items()}
@@ -323,7 +332,8 @@ def dropped_beam_metrics(dropped: BoolArray, wall_seen: IntArray) -> dict[str, f
     is a robot.
     """
     on_robot = wall_seen == _ROBOT
-    hits, left_out = int(np.count_nonzero(on_robot)), int(np.count_nonzero(dropped))
+    hits = int(np.count_nonzero(on_robot))
+    left_out = int(np.count_nonzero(dropped))
     return {
         "robot_beams_dropped": float(np.count_nonzero(dropped & on_robot)) / hits if hits else None,
         "robot_beams_dropped_wrongly": float(np.count_nonzero(dropped & ~on_robot)) / left_out
@@ -408,7 +418,8 @@ def _in_sight(point: FloatArray, stands: FloatArray, edges: FloatArray) -> bool:
     an edge (k, 4).
     """
     sight = point - stands[:, None]
-    span, offset = edges[:, 2:] - edges[:, :2], edges[:, :2] - stands[:, None]
+    span = edges[:, 2:] - edges[:, :2]
+    offset = edges[:, :2] - stands[:, None]
     cross = sight[..., 0] * span[:, 1] - sight[..., 1] * span[:, 0]
     # Edges that run along the line of sight divide by zero and block nothing; their neighbours do.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -429,7 +440,8 @@ def _stretches(poses: FloatArray, length: float) -> tuple[IntArray, IntArray]:
     """First and last steps (k,) of stretches of at least ``length`` (m), each beginning where the
     last ended.
     """
-    marks, driven = [0], 0.0
+    marks = [0]
+    driven = 0.0
     for step, travel in enumerate(_steps(poses), start=1):
         driven += float(travel)
         if driven >= length:

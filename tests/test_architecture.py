@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-GEOMETRY, INTERFACE = "limslam_env.geometry", "limslam_env.interface"
+GEOMETRY = "limslam_env.geometry"
+INTERFACE = "limslam_env.interface"
 # The last two are about text only.
 WHAT_AN_AGENT_MAY_KNOW = {
     GEOMETRY,
@@ -397,7 +398,8 @@ def dotted(node: ast.expr) -> str:
 @pytest.mark.parametrize("place", PLACES)
 def test_random_numbers_come_from_seeded_generators(place):
     for name in PLACES[place]:
-        tree, imported = tree_of(MODULES[name]), imports(MODULES[name])
+        tree = tree_of(MODULES[name])
+        imported = imports(MODULES[name])
         assert not any(full == "random" or full.startswith("random.") for full in imported), name
         assert {
             full.split(".")[2] for full in imported if full.startswith("numpy.random.")

@@ -48,7 +48,8 @@ def theirs(name):
 def test_no_required_package_contradicts_a_minimum(name):
     for other in theirs(name):
         required = canonicalize_name(other.name)
-        ours, needed = minimum(OURS[required]), minimum(other)
+        ours = minimum(OURS[required])
+        needed = minimum(other)
         if ours is None:
             continue
         # An extra may need a newer version of a package than the project without that extra.

@@ -18,7 +18,8 @@ from limslam_env.geometry import FloatArray
 PUBLISHED = "paper"
 """The preset of the published method."""
 
-FRONTIER, TOUR = "frontier", "tour"
+FRONTIER = "frontier"
+TOUR = "tour"
 """Policies that the tables refer to by name, in addition to the policies named in
 :mod:`benchmarks.suite.jobs`.
 """

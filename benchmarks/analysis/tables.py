@@ -33,7 +33,8 @@ READING = (
     "often. "
     "n: runs that ended well (failed). A number in brackets behind a value: so many runs have one."
 )
-NOTICED_WITHIN, PLACED_WITHIN = 10.0, 30.0
+NOTICED_WITHIN = 10.0
+PLACED_WITHIN = 30.0
 """Times after a fault within which it should be noticed, and a kidnapped robot be placed, s."""
 
 TOLERATED_ATE = 0.5
@@ -216,7 +217,8 @@ def _placed(part: Group) -> str:
 
 
 def _over_odometry(row: Row) -> float | None:
-    estimated, odometry = metric("ate_m")(row), metric("odometry_ate_m")(row)
+    estimated = metric("ate_m")(row)
+    odometry = metric("odometry_ate_m")(row)
     return estimated / odometry if estimated is not None and odometry else None
 
 
@@ -349,7 +351,8 @@ def _pairs_sheet(
 
 def _pairs_row(setting: Setting, pairs: Sequence[tuple[Group, Group]]) -> tuple[str, ...]:
     def values(of: Value) -> Pairs:
-        first, second = dict[Hashable, float | None](), dict[Hashable, float | None]()
+        first = dict[Hashable, float | None]()
+        second = dict[Hashable, float | None]()
         for one, other in pairs:
             first |= one.by_job(of)
             second |= other.by_job(of)

@@ -112,12 +112,11 @@ def run_scoreboard(
         If a pattern matches nothing, or the folder holds results of another estimator or of other
         rows.
     """
-    chosen, has_data = rows.chosen(patterns), data_folder().is_dir()
+    chosen = rows.chosen(patterns)
+    has_data = data_folder().is_dir()
     skipped = [row.name for row in chosen if row.needs_data and not has_data]
-    by_name, first = (
-        {row.name: row for row in rows.row},
-        rows.unused_seed if unused else rows.tuning_seed,
-    )
+    by_name = {row.name: row for row in rows.row}
+    first = rows.unused_seed if unused else rows.tuning_seed
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
     known = digest([[asdict(row) for row in rows.row], first, jitter, digest_of(estimator_files())])
     suite = Suite("scoreboard", "Cells of the scoreboard.", tuple(jobs), known)

@@ -24,11 +24,20 @@ from limslam_env.geometry import FloatArray
 from limslam_env.worlds.world import World
 
 # Sides of the campus, the wider one along x, and sides of its halls; m
-_WIDTH, _HEIGHT, _HALL = (150.0, 240.0), (90.0, 180.0), (9.0, 16.0)
+_WIDTH = (150.0, 240.0)
+_HEIGHT = (90.0, 180.0)
+_HALL = (9.0, 16.0)
 _CORRIDOR = (1.8, 3.0)  # m, width
-_ROOM_WIDTH, _ROOM_DEPTH = (3.0, 5.0), (3.0, 6.0)  # m
-_WALL, _DOOR = 0.2, 1.0  # m: thickness of the walls between rooms, and width of their doors
-_HALLS, _LADDERS, _VISITS = 0.3, 0.5, 0.08  # shares of crossings, corridors, and rooms entered
+# m
+_ROOM_WIDTH = (3.0, 5.0)
+_ROOM_DEPTH = (3.0, 6.0)
+# m: thickness of the walls between rooms, and width of their doors
+_WALL = 0.2
+_DOOR = 1.0
+# shares of crossings, corridors, and rooms entered
+_HALLS = 0.3
+_LADDERS = 0.5
+_VISITS = 0.08
 _BESIDE = 0.3  # m; standard deviation of the way from the middle of a corridor
 _DETAILS = (0.01, 0.06)  # boxes and recesses per metre of wall
 _DRIVEN = (900.0, 1900.0)  # m
@@ -59,8 +68,10 @@ class _Plan:
 
 
 def _plan(generator: np.random.Generator) -> _Plan:
-    columns, rows = int(generator.integers(3, 5)), int(generator.integers(2, 4))
-    width, height = generator.uniform(*_WIDTH), generator.uniform(*_HEIGHT)
+    columns = int(generator.integers(3, 5))
+    rows = int(generator.integers(2, 4))
+    width = generator.uniform(*_WIDTH)
+    height = generator.uniform(*_HEIGHT)
     xs = 12.0 + width * _spread(columns, generator)
     ys = 12.0 + height * _spread(rows, generator)
     crossings = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1)
@@ -91,7 +102,8 @@ def _add_corridor(
     generator: np.random.Generator,
 ) -> None:
     """Cut a corridor between two crossings, and perhaps equal rooms along one or both sides."""
-    begin, end = plan.crossings[first], plan.crossings[second]
+    begin = plan.crossings[first]
+    end = plan.crossings[second]
     along = int(first[0] == second[0])
     wide = generator.uniform(*_CORRIDOR)
     length = float((end - begin)[along])
@@ -100,7 +112,8 @@ def _add_corridor(
     )
     if generator.random() >= _LADDERS:
         return
-    broad, deep = generator.uniform(*_ROOM_WIDTH), generator.uniform(*_ROOM_DEPTH)
+    broad = generator.uniform(*_ROOM_WIDTH)
+    deep = generator.uniform(*_ROOM_DEPTH)
     margin = _HALL[1]
     count = int((length - 2.0 * margin) / (broad + _WALL))
     doors = list[FloatArray]()
@@ -144,8 +157,10 @@ def _route(plan: _Plan, length: float, generator: np.random.Generator) -> FloatA
     of rooms.
     """
     columns, rows = plan.crossings.shape[:2]
-    at, before = (0, 0), (0, 0)
-    points, driven = [plan.crossings[at]], 0.0
+    at = (0, 0)
+    before = (0, 0)
+    points = [plan.crossings[at]]
+    driven = 0.0
     while driven < length:
         near = [
             (at[0] + step, at[1] + up)
@@ -154,14 +169,16 @@ def _route(plan: _Plan, length: float, generator: np.random.Generator) -> FloatA
         ]
         choices = [each for each in near if each != before] or near
         following = choices[generator.integers(len(choices))]
-        begin, end = plan.crossings[at], plan.crossings[following]
+        begin = plan.crossings[at]
+        end = plan.crossings[following]
         rooms = plan.rooms.get(_ends(plan, at, following), np.zeros((0, 2, 2)))
         rooms = rooms[generator.random(len(rooms)) < _VISITS]
         for door, middle in rooms[np.argsort(((rooms[:, 0] - begin) ** 2).sum(axis=1))]:
             points += [door, middle, door]
         points.append(end)
         driven += float(np.hypot(*(end - begin)))
-        before, at = at, following
+        before = at
+        at = following
     return np.array(points)
 
 
@@ -185,7 +202,8 @@ def campus_world(seed: int) -> tuple[World, FloatArray]:
     generator = np.random.default_rng([seed, 4])
     plan = _plan(generator)
     way = _wandering(_route(plan, generator.uniform(*_DRIVEN), generator), generator)
-    details, rectangles = generator.uniform(*_DETAILS), np.array(plan.rectangles)
+    details = generator.uniform(*_DETAILS)
+    rectangles = np.array(plan.rectangles)
     return cut_world(f"campus{seed}", rectangles, details, generator, way), way
 
 

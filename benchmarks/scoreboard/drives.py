@@ -28,7 +28,9 @@ _NEW = 0.6  # share of goals that are far from all where the robot has been
 LEAST_WAY = 1.0
 """The least distance to the next goal, m."""
 _BEAM_BEGINS = 0.5  # share of the drive after which one beam is late
-_BACK, _TURN = 0.5, 1.5  # s of driving back from an obstacle, and of the longest turn after that
+# s of driving back from an obstacle, and of the longest turn after that
+_BACK = 0.5
+_TURN = 1.5
 
 Driver = Callable[[FloatArray, bool], FloatArray]
 """Wheel speeds (2,) by the true pose (3,) and whether the robot touches something."""
@@ -88,7 +90,8 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
             to_person = ranges_to(centres, fault.size, true_robot, true)
             fault.script = to_person + row.noise * generator.standard_normal(ranges.shape)
         ranges, wheels, arrives = with_fault(fault, ranges, wheels, time)
-        time, true = time[arrives], true[arrives]
+        time = time[arrives]
+        true = true[arrives]
     # As a reader of logs finds them.
     gaps = gaps_in(wheels, time, robot.control_period)
     return RecordedLog(
@@ -117,7 +120,8 @@ def _from_place_to_place(
     """Drive to a place far from all where the robot has been, or to one that it may have seen
     before, and so on.
     """
-    roads, been = Roadmap(env.world, env.robot.radius, start[:2]), [start[:2]]
+    roads = Roadmap(env.world, env.robot.radius, start[:2])
+    been = [start[:2]]
 
     def plan(pose: FloatArray) -> FloatArray:
         while True:
@@ -154,7 +158,8 @@ def next_place(
 
 def _bumps(robot: RobotSpec, generator: np.random.Generator) -> Driver:
     """Drive straight on, push what is in the way for a moment, drive back, and turn by chance."""
-    period, plan = robot.control_period, list[FloatArray]()
+    period = robot.control_period
+    plan = list[FloatArray]()
 
     def drive(pose: FloatArray, is_touching: bool) -> FloatArray:
         del pose

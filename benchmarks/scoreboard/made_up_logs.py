@@ -42,18 +42,22 @@ _REACH = 81.91  # m; what the scanner reads where it sees nothing
 _CELL = 0.1  # m; of the floors that rings and halls are cut from
 _CLEAR = 3  # cells that a robot needs to either side
 _RECESSES = 0.4  # share of recesses among the details of walls; the others are boxes
-_LEAST_SIDE, _LARGEST_SIDE = 10.0, 60.0  # m; of real plans
-_LOOP_AFTER, _LOOP_WITHIN = 60.0, 1.5  # s and m between the ends of a relation that is a loop
+# m; of real plans
+_LEAST_SIDE = 10.0
+_LARGEST_SIDE = 60.0
+# s and m between the ends of a relation that is a loop
+_LOOP_AFTER = 60.0
+_LOOP_WITHIN = 1.5
 _RELATIONS = 300  # of each kind
-_LEAST_DRIVEN, _SEEN_WITHIN = (
-    40.0,
-    4.0,
-)  # m: a drive with few revisits ends after this way, when all places were near
-_SHORTEST_FLIGHT, _LONGEST_FLIGHT = 5.0, 15.0  # m
-_RANGE, _STD = (
-    5.0,
-    0.02,
-)  # m; longest range that is used, and the standard deviation that the smoother is told
+# m: a drive with few revisits ends after this way, when all places were near
+_LEAST_DRIVEN = 40.0
+_SEEN_WITHIN = 4.0
+# m
+_SHORTEST_FLIGHT = 5.0
+_LONGEST_FLIGHT = 15.0
+# m; longest range that is used, and the standard deviation that the smoother is told
+_RANGE = 5.0
+_STD = 0.02
 
 # Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are
 # drawn; standard deviations of the heading after one metre (deg) and after one radian (rad); and
@@ -138,7 +142,9 @@ def _ring(generator: np.random.Generator) -> World:
 
 def _halls(generator: np.random.Generator) -> World:
     """Two to four halls in a row, joined by corridors."""
-    x, wide, rectangles = 1.0, generator.uniform(1.8, 2.8), list[list[float]]()
+    x = 1.0
+    wide = generator.uniform(1.8, 2.8)
+    rectangles = list[list[float]]()
     for width, height, gap, y in generator.uniform(
         (8, 8, 2, 1), (15, 15, 8, 5), (generator.integers(2, 5), 4)
     ):
@@ -195,7 +201,9 @@ def driven_path(
     centres = space.centres(starting_cells(world, space))
     roads = Roadmap(world, ROBOT.radius, centres[generator.integers(len(centres))])
     speeds = Speeds(generator.uniform(0.3, 0.7), generator.uniform(0.5, 1.2))
-    at, been, driven = roads.places[0], [roads.places[0]], 0.0
+    at = roads.places[0]
+    been = [roads.places[0]]
+    driven = 0.0
     parts = [np.array([[*at, 0.0]])]
     while driven < length:
         goal, farthest = next_place(roads, been, generator, revisits=revisits)
@@ -207,7 +215,8 @@ def driven_path(
         leg = poses_along(parts[-1][-1], way, ROBOT, speeds)
         parts += [leg[1:], np.tile(leg[-1], (int(generator.integers(1, 30)), 1))]
         driven += float(np.hypot(*np.diff(leg[:, :2], axis=0).T).sum())
-        at, been = goal, [*been, *way]
+        at = goal
+        been = [*been, *way]
     return np.concatenate(parts)
 
 
@@ -256,7 +265,8 @@ def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True
     path = driven_path(
         world, length or generator.uniform(100.0, 220.0), generator, revisits=revisits
     )
-    period, delay = ROBOT.control_period, generator.uniform(0.0, 0.15)
+    period = ROBOT.control_period
+    delay = generator.uniform(0.0, 0.15)
     time = np.arange(0.0, period * (len(path) - 1) - delay, generator.uniform(0.15, 0.4))
     truth, later = (
         np.column_stack([np.interp(when, period * np.arange(len(path)), each) for each in path.T])
@@ -278,7 +288,8 @@ def drifting_odometry(
     scale, gain, turn, per_metre, per_radian, slips = errors
     signs = generator.choice((-1.0, 1.0), 3)
     moves = se2.between(truth[:-1], truth[1:])
-    driven, turned = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
+    driven = np.hypot(moves[:, 0], moves[:, 1])
+    turned = np.abs(moves[:, 2])
     stds = np.radians(per_metre) * np.sqrt(driven) + per_radian * np.sqrt(turned)
     moves[:, 2] += signs[1] * gain * moves[:, 2] + signs[2] * np.radians(turn) * driven
     moves[:, 2] += stds * generator.standard_normal(len(moves))
@@ -346,7 +357,8 @@ def as_recorded(log: MadeUpLog, beams: tuple[float, ...], max_range: float) -> R
 
 def known_relations(log: MadeUpLog) -> Relations:
     """True motions of the robot: over about a second, and as many loops where there are any."""
-    generator, count = np.random.default_rng(len(log.time)), len(log.time)
+    generator = np.random.default_rng(len(log.time))
+    count = len(log.time)
     firsts = generator.choice(count - 1, min(_RELATIONS, count - 1), replace=False)
     near = np.column_stack(
         (firsts, np.minimum(np.searchsorted(log.time, log.time[firsts] + 1.0), count - 1))
@@ -394,14 +406,17 @@ def smoothing_scores(
     is the standard deviation of further noise of the ranges, m.
     """
     beams, points = sensor
-    used, rows = nearest_beams(np.degrees(BEAMS), beams), np.arange(len(log.time))
+    used = nearest_beams(np.degrees(BEAMS), beams)
+    rows = np.arange(len(log.time))
     # As in logs of robots, some odometry comes by itself.
     rows = np.repeat(rows, 1 + (rows % 10 == 0))
     has_scan = np.append(rows[:-1] < rows[1:], True)
-    time_s, odometry = log.time[rows], np.round(log.odometry[rows], 6)
+    time_s = log.time[rows]
+    odometry = np.round(log.odometry[rows], 6)
     ranges = np.minimum(np.round(log.ranges[rows][:, used], 2), _RANGE)
     ranges = np.where(has_scan[:, None], ranges, _RANGE)
-    hit, moves = (ranges > MIN_RANGE) & (ranges < _RANGE), se2.between(odometry[:-1], odometry[1:])
+    hit = (ranges > MIN_RANGE) & (ranges < _RANGE)
+    moves = se2.between(odometry[:-1], odometry[1:])
     noise = jitter * np.random.default_rng(1).standard_normal(ranges.shape)
     data = LogData(
         time_s,
@@ -413,7 +428,8 @@ def smoothing_scores(
         _RANGE,
         _STD,
     )
-    config, begin = GraphConfig(), time.process_time()
+    config = GraphConfig()
+    begin = time.process_time()
     found, signals = trusted_path(with_reversing(data, config), np.zeros(3), config)
     seconds = time.process_time() - begin
     known = known_relations(log)

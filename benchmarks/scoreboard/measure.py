@@ -87,7 +87,8 @@ def _replayed(
 
 def replay_scores(found: Replay) -> Scores:
     """The figures of a replay with the truth, without those of its map."""
-    log, smoothed = found.log, found.smoothed
+    log = found.log
+    smoothed = found.smoothed
     assert log.true_pose is not None  # noqa: S101 (the logs of rows with the truth have it)
     true = log.true_pose[:, None]
     poses = None if smoothed is None else smoothed.poses[:, None]
@@ -120,7 +121,8 @@ def _final_level(found: Replay) -> str:
 
 
 def _wall_scores(world: World, found: Replay) -> Scores:
-    log, smoothed = found.log, found.smoothed
+    log = found.log
+    smoothed = found.smoothed
     assert log.true_pose is not None  # noqa: S101 (drives are recorded with the truth)
     drawn_from = log.true_pose if smoothed is None else smoothed.poses
     visible = metrics.visible_samples(world, log.robot.radius, log.robot.reach)
@@ -135,7 +137,8 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     drive.
     """
     del jitter
-    kidnap_at, longest = None, row.seconds
+    kidnap_at = None
+    longest = row.seconds
     if row.kidnapped is not None:
         kidnap_at = round(float(np.random.default_rng(job.seed).uniform(*row.kidnapped)), 1)
         longest += kidnap_at
@@ -156,8 +159,10 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     driven = time.process_time()
     smoothed = episode.smoothed
     spent = time.process_time() - driven
-    found, placed = score(episode), slice(episode.placed_robots)
-    true, estimated = episode.true[:, placed], episode.estimated[:, placed]
+    found = score(episode)
+    placed = slice(episode.placed_robots)
+    true = episode.true[:, placed]
+    estimated = episode.estimated[:, placed]
     first = (episode.placed_steps, 0, slice(2))
     alignment = metrics.rigid_alignment(episode.true[first], episode.final_map.poses[first])
     seen = faces(episode.world, config.robot, episode.final_map.segments, alignment)
@@ -211,7 +216,8 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
         for prefix, suffix in (("", ""), ("smoothed_", "_smoothed"), ("odometry_", "_odometry"))
         for kind, name in (("", "relation_error_m"), ("_aligned", "loop_relation_error_m"))
     }
-    level, loops = _final_level(found), scores["ate_smoothed_aligned_m"]
+    level = _final_level(found)
+    loops = scores["ate_smoothed_aligned_m"]
     end = {
         "status": level,
         "wrong_ok_end": int(level == "ok" and loops is not None and loops > WRONG_PATH),

@@ -30,10 +30,8 @@ def faces(world: World, robot: RobotSpec, segments: FloatArray, alignment: Float
     within 5 cm of.
     """
     points, _, owner = metrics.visible_samples(world, robot.radius, robot.reach, shortest=0.0)
-    points, moved = (
-        points[owner >= len(world.walls)],
-        transform_points(alignment, segments.reshape(-1, 2)),
-    )
+    points = points[owner >= len(world.walls)]
+    moved = transform_points(alignment, segments.reshape(-1, 2))
     if not len(points):
         return {}
     away = distances(points, moved.reshape(-1, 4)).min(axis=1, initial=np.inf)
@@ -88,7 +86,8 @@ def while_driving(
     """
     errors = np.hypot(*(estimated - true)[..., :2].transpose(2, 0, 1))
     is_off = (errors > WRONG) | (np.abs(wrap_angle((estimated - true)[..., 2])) > TURNED)
-    lasts, is_ok = np.append(np.diff(time_s), 0.0)[:, None], levels == LEVELS.index("ok")
+    lasts = np.append(np.diff(time_s), 0.0)[:, None]
+    is_ok = levels == LEVELS.index("ok")
     is_wrong = is_ok & (errors > WRONG)
     return {
         "wrong_ok_s": float((lasts * is_wrong).sum()),

@@ -20,9 +20,13 @@ _TABLES = FloorPlanConfig(obstacles=2.5, obstacle_size=(0.8, 1.5), slanted=0.0, 
 _HALLS = FloorPlanConfig(
     width=(12.0, 16.0), height=(8.0, 11.0), min_room=5.0, corridor=0.3, obstacles=0.2
 )
-_LEG, _OVERHANG = 0.04, 0.08  # m: thickness of a table's leg, and from the table's edge to it
+# m: thickness of a table's leg, and from the table's edge to it
+_LEG = 0.04
+_OVERHANG = 0.08
 _FACETS = 48
-_LEAST_RADIUS, _LARGEST_RADIUS = 2.2, 3.2  # m, of a round room
+# m, of a round room
+_LEAST_RADIUS = 2.2
+_LARGEST_RADIUS = 3.2
 
 
 def _pillars(generator: np.random.Generator) -> World:

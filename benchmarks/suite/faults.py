@@ -16,7 +16,8 @@ from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Observation, RobotSpec
 
-RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
+RIGHT_PLACE = 0.5
+RIGHT_HEADING = np.radians(15.0)
 """A robot is at the right place if its pose is not farther off, m and rad."""
 
 _OLDEST = 100  # steps; readings that are older are never reported
@@ -83,7 +84,8 @@ class Fault:
             return told
         if self.first_step is None:
             self.first_step = self.step
-        ranges, wheels = told["ranges"].copy(), told["wheels"].copy()
+        ranges = told["ranges"].copy()
+        wheels = told["wheels"].copy()
         has_arrived = kind.alter(self, ranges, wheels)
         self.last = ranges
         return Observation() if has_arrived is False else Observation(ranges=ranges, wheels=wheels)
@@ -298,15 +300,14 @@ def fault_scores(episode: Episode, begin: float) -> dict[str, Metric]:
         raise ValueError(
             f"the exploration ended after {episode.time[-1]:.1f} s, before the fault at {begin:g} s"
         )
-    true, estimated, level = (
-        episode.true[first:, 0],
-        episode.estimated[first:, 0],
-        episode.levels[first:, 0],
-    )
+    true = episode.true[first:, 0]
+    estimated = episode.estimated[first:, 0]
+    level = episode.levels[first:, 0]
     is_right = (np.hypot(*(estimated - true)[:, :2].T) <= RIGHT_PLACE) & (
         np.abs(wrap_angle(estimated[:, 2] - true[:, 2])) <= RIGHT_HEADING
     )
-    is_ok, is_lost = level == LEVELS.index("ok"), level == LEVELS.index("lost")
+    is_ok = level == LEVELS.index("ok")
+    is_lost = level == LEVELS.index("lost")
     is_wrong = np.maximum.accumulate(is_lost) & ~is_lost & ~is_right
     is_kidnapped = episode.config.kidnap_at is not None
 

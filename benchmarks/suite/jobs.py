@@ -9,7 +9,8 @@ from limslam_env.messages import counted
 
 LAPS_POLICY = "laps"
 KIDNAPPED = "kidnapped"
-RANDOM, PLAN = "random:", "plan:"
+RANDOM = "random:"
+PLAN = "plan:"
 OWN_PLAN = f"{RANDOM}seed"
 """The floor plan of the job's own seed."""
 

@@ -49,7 +49,8 @@ def _kept_clear(way: FloatArray, driven: FloatArray, distance: float) -> FloatAr
     """Where a person is who walks along points (t, 2), one a step, and never comes nearer to the
     robot than a distance, m, on purpose: then they stay, or go back.
     """
-    at, places = 0, np.empty((len(driven), 2))
+    at = 0
+    places = np.empty((len(driven), 2))
     for step, pose in enumerate(driven):
         choices = way[max(at - 1, 0) : at + 2][::-1]
         away = np.hypot(*(choices - pose[:2]).T)
@@ -66,7 +67,8 @@ def ranges_to(
     where a beam passes by.
     """
     angles = poses[:, 2:] + robot.beam_angles
-    cosine, sine = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    cosine = np.cos(poses[:, 2])
+    sine = np.sin(poses[:, 2])
     turned = np.stack((np.stack((cosine, -sine), -1), np.stack((sine, cosine), -1)), axis=1)
     origins = poses[:, None, :2] + np.einsum("tij,bj->tbi", turned, robot.beam_origins)
     to_centre = centres[:, None] - origins

@@ -169,7 +169,8 @@ def run_suite(
 
 def timed(work: Work, job: Job) -> Outcome:
     """Do a job, and add its time by the clock and of the processor to its cost, s."""
-    begin, begin_cpu = time.perf_counter(), time.process_time()
+    begin = time.perf_counter()
+    begin_cpu = time.process_time()
     outcome = work(job)
     spent = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
     return replace(outcome, cost={**outcome.cost, **spent})

@@ -192,7 +192,8 @@ def _worlds(world: str) -> Iterable[str]:
     several = re.fullmatch(rf"{RANDOM}(\d{{1,6}})\.\.(\d{{1,6}})", world)
     if several is None:
         return [world]
-    first, last = int(several[1]), int(several[2])
+    first = int(several[1])
+    last = int(several[2])
     if last < first:
         raise ValueError(
             f"worlds: {described(world)} names no floor plans: the last comes before the first"

@@ -29,15 +29,14 @@ class _Explorer:
     """
 
     def __init__(self, robot: RobotSpec, pose: FloatArray, ranges: ReadingArray) -> None:
-        self._robot, self._grid, self._guard = (
-            robot,
-            OccupancyGrid(GridConfig()),
-            CollisionGuard(robot),
-        )
+        self._robot = robot
+        self._grid = OccupancyGrid(GridConfig())
+        self._guard = CollisionGuard(robot)
         self.take_in(pose, ranges)
 
     def take_in(self, pose: FloatArray, ranges: ReadingArray) -> None:
-        self.pose, self._ranges = np.array(pose), ranges.astype(float)
+        self.pose = np.array(pose)
+        self._ranges = ranges.astype(float)
         self._grid.update(self.pose, self._robot, self._ranges, np.ones(len(ranges), dtype=bool))
         self._guard.add_readings(self.pose, self._ranges)
 
@@ -89,10 +88,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         )
         self.action_space = batch_space(self.single_action_space, env.num_envs)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
-        self.touches, self._in_contact = (
-            np.zeros(env.num_envs, dtype=np.int64),
-            np.zeros(env.num_envs, dtype=bool),
-        )
+        self.touches = np.zeros(env.num_envs, dtype=np.int64)
+        self._in_contact = np.zeros(env.num_envs, dtype=bool)
         self._explorers: list[_Explorer] = []
 
     def reset(
@@ -100,7 +97,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Reset all environments and empty the grids."""
         told, info = self.env.reset(seed=seed, options=options)
-        self._in_contact[:], self.touches[:] = False, 0
+        self._in_contact[:] = False
+        self.touches[:] = 0
         self._explorers = [
             _Explorer(self.robot, pose, ranges)
             for pose, ranges in zip(info["pose"], told["ranges"], strict=True)
@@ -144,7 +142,8 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
                     )
                 else:
                     self._explorers[number].take_in(info["pose"][number], told["ranges"][number])
-            terminated, truncated = terminated | ended, truncated | cut
+            terminated = terminated | ended
+            truncated = truncated | cut
         over = terminated | truncated
         info = {**info, "final_obs": final, "_final_obs": over} if over.any() else info
         return self._views(), REWARD_SCALE * rewards, terminated, truncated, info

@@ -36,7 +36,9 @@ from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
 
-LOG, CONFIG, WEIGHTS = "trials.jsonl", "train.json", "explorer.npz"
+LOG = "trials.jsonl"
+CONFIG = "train.json"
+WEIGHTS = "explorer.npz"
 LEAST_SHARE = 0.05
 GOAL = 0.8
 WIDTH = 48  # channels of a layer
@@ -139,12 +141,10 @@ class _Keeper(BaseCallback):
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         super().__init__()
-        self._config, self._folder, self._begin, self._tried = (
-            config,
-            folder,
-            time.process_time(),
-            0,
-        )
+        self._config = config
+        self._folder = folder
+        self._begin = time.process_time()
+        self._tried = 0
         batch = gym.make_vec(
             "LimSlam-World-v0",
             len(config.held_out),
@@ -171,7 +171,8 @@ class _Keeper(BaseCallback):
 
     def _try(self) -> None:
         self._tried, network = self.num_timesteps, self.model.policy.mlp_extractor.to_numpy()
-        period, generator = HOLD * self._env.robot.control_period, np.random.default_rng(0)
+        period = HOLD * self._env.robot.control_period
+        generator = np.random.default_rng(0)
         told, info = self._env.reset(seed=0)
         rows = [info["coverage"].copy()]
         for _ in range(round(_TRIAL / period)):
@@ -214,7 +215,9 @@ class DirectionExtractor(nn.Module):
 
     def __init__(self, view: ViewConfig, readings: int) -> None:
         super().__init__()
-        self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
+        self.view = view
+        self.latent_dim_pi = view.directions
+        self.latent_dim_vf = 64
         inputs = view.rows
         self._size = inputs * view.directions
         self.first = nn.Conv1d(inputs + COMPASS, WIDTH, 5)
@@ -229,7 +232,8 @@ class DirectionExtractor(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Scores (n, directions), and features for the value (n, 64)."""
-        count, state = len(observation), observation[:, self._size :]
+        count = len(observation)
+        state = observation[:, self._size :]
         view = observation[:, : self._size].reshape(count, -1, self.view.directions)
         told = torch.cat((view, torch.as_tensor(self.compass).expand(count, -1, -1)), dim=1)
         values = functional.relu(_around(self.first, told) + self.state(state)[:, :, None])

@@ -37,7 +37,8 @@ from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
-GREETING_WITHIN, ANSWER_WITHIN = 30.0, 5.0
+GREETING_WITHIN = 30.0
+ANSWER_WITHIN = 5.0
 """Longest wall-clock times to wait for the greeting of a new process and for an answer, s."""
 
 MOST_WAITING = 10_000
@@ -61,7 +62,9 @@ class CommandActor:
         self, words: Sequence[str], folder: Path, robot: RobotSpec, user: str | None = None
     ) -> None:
         self._words = [sys.executable if word == "{python}" else word for word in words]
-        self._folder, self._robot, self._user = folder, robot, user
+        self._folder = folder
+        self._robot = robot
+        self._user = user
         self._link: _Process | None = None
         self._begin()
 
@@ -75,7 +78,9 @@ class CommandActor:
     def _begin(self) -> None:
         period = round(1e3 * self._robot.control_period)
         hello = Hello(OLDEST, 1, "arena", len(self._robot.beams), NM_PER_TICK, period, _WATCHDOG_MS)
-        self._firmware, self._step, self._travel = Firmware(hello), 0, np.zeros(2)
+        self._firmware = Firmware(hello)
+        self._step = 0
+        self._travel = np.zeros(2)
         self.done = False
         self.stop_reason: str | None = None
 
@@ -101,7 +106,8 @@ class CommandActor:
         except _EndedError as error:
             if error.exit_code != 0:
                 raise
-            self.done, self.stop_reason = True, f"the command has ended by itself: {NOT_EXPLORED}"
+            self.done = True
+            self.stop_reason = f"the command has ended by itself: {NOT_EXPLORED}"
             self.close()
             return np.zeros(2)
         self._step += 1
@@ -133,7 +139,8 @@ class CommandActor:
             except BadLineError:  # a command may print its own words
                 continue
             if isinstance(message, Stop):
-                self.done, self.stop_reason = True, "the command has stopped the robot"
+                self.done = True
+                self.stop_reason = "the command has stopped the robot"
                 return
             if isinstance(message, Speeds) and message.answers == numbers[-1]:
                 return

@@ -18,7 +18,9 @@ MOST_ROBOTS = 2
 _NOT_IN_DIGEST = (
     "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
 )
-_LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
+_LONGEST_NAME = 60
+_MOST_FILES = 1000
+_MOST_BYTES = 500_000_000
 
 
 @dataclass(frozen=True, kw_only=True)

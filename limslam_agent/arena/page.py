@@ -101,7 +101,8 @@ def _content(found: Board, place: Path) -> dict[str, Any]:
 
 
 def _entry(standing: Standing, place: Path) -> dict[str, Any]:
-    stamp, manifest = standing.stamp, standing.stamp.entry
+    stamp = standing.stamp
+    manifest = standing.stamp.entry
     return {
         **{
             name: manifest.get(name, "")

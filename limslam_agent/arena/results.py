@@ -16,7 +16,8 @@ from limslam_agent.config.tables import built
 from limslam_agent.measurements import store
 from limslam_env.messages import one_line
 
-STAMP, RUNS = "arena.json", "runs"
+STAMP = "arena.json"
+RUNS = "runs"
 
 
 @dataclass(frozen=True)

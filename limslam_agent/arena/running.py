@@ -81,7 +81,8 @@ def run_entry(
     ValueError
         If the folder cannot be used, or a process of the arena has died.
     """
-    place, inside = folder.absolute(), entry.folder.resolve()
+    place = folder.absolute()
+    inside = entry.folder.resolve()
     if folder.resolve() == inside or inside in folder.resolve().parents:
         raise ValueError(
             f"{folder}: lies in the folder of the entry, which must not change while it runs"
@@ -135,7 +136,8 @@ def run_job(job: Job) -> Row:
     """Run a plan. Whatever the entry's code raises becomes the error of the row, and the plan is
     lost.
     """
-    plan, manifest = job.plan, job.entry.manifest
+    plan = job.plan
+    manifest = job.entry.manifest
     if manifest.is_process:
         hide_memory()
     provenance: dict[str, Any] = {
@@ -143,7 +145,9 @@ def run_job(job: Job) -> Row:
         "commit": job.commit,
         "settings": digest_of({"plan": plan.setting, "entry": job.entry.digest}),
     }
-    begin, cpu, error = time.perf_counter(), _cpu_s(), None
+    begin = time.perf_counter()
+    cpu = _cpu_s()
+    error = None
     cost: dict[str, float] = {}
     try:
         if plan.robots > manifest.robots:
@@ -182,7 +186,9 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
 
     The command ``limslam run`` with the same settings drives the same run for a shipped policy.
     """
-    entry, plan, last = job.entry, job.plan, dict[str, LimSlamParallelEnv]()
+    entry = job.entry
+    plan = job.plan
+    last = dict[str, LimSlamParallelEnv]()
     is_named = not entry.manifest.is_process
     config = RunConfig(
         plan.world,
@@ -220,7 +226,8 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
 
 def _policies(job: Job, config: RunConfig) -> list[Policy] | None:
     """A policy for each robot. None for shipped policies, which the run makes by their names."""
-    entry, manifest = job.entry, job.entry.manifest
+    entry = job.entry
+    manifest = job.entry.manifest
     if manifest.kind == "shipped":
         return None
     if manifest.is_process:

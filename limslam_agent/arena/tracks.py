@@ -24,7 +24,9 @@ _FAULTS = ("none",) * 11 + ("wheels",) * 3 + ("sharp",) * 3 + ("dropout",) * 3
 _ROBOTS = (1,) * 7 + (2,) * 3
 _SIDES_DM = (50, 71)  # sides of a building, dm; the upper end is excluded
 _FLOOR_PLANS = (10**9, 2 * 10**9)  # seeds that no suite and no training of this project uses
-_WHEELS, _DROPOUT, _LEAST_SHARP_NOISE = 0.02, 0.1, 0.02
+_WHEELS = 0.02
+_DROPOUT = 0.1
+_LEAST_SHARP_NOISE = 0.02
 
 
 @dataclass(frozen=True)
@@ -72,8 +74,11 @@ def plans_of(seed: int = PUBLIC_SEED) -> list[Plan]:
 
     worlds = generator.integers(*_FLOOR_PLANS, COUNT)
     sides = generator.integers(*_SIDES_DM, (COUNT, 2)) / 10.0
-    noises, faults, robots = spread(_NOISES), spread(_FAULTS), spread(_ROBOTS)
-    signs, seeds = generator.choice((-1.0, 1.0), COUNT), generator.integers(0, 10**6, COUNT)
+    noises = spread(_NOISES)
+    faults = spread(_FAULTS)
+    robots = spread(_ROBOTS)
+    signs = generator.choice((-1.0, 1.0), COUNT)
+    seeds = generator.integers(0, 10**6, COUNT)
     return [
         Plan(
             number,

@@ -15,7 +15,9 @@ from limslam_agent.output.provenance import commit, versions
 from limslam_env.messages import counted
 
 _FEWEST_PAIRS = 10
-_SURE_OF_SHIFT, _LEAST_SHIFT = 5.0, 0.02  # standard errors of a mean, and a share of the bound
+# standard errors of a mean, and a share of the bound
+_SURE_OF_SHIFT = 5.0
+_LEAST_SHIFT = 0.02
 
 
 def opened(
@@ -118,7 +120,8 @@ def shifts(pairs: Sequence[tuple[Row, Row]]) -> list[str]:
         )
         if len(changes) < _FEWEST_PAIRS:
             continue
-        mean, error = float(changes.mean()), float(changes.std(ddof=1)) / len(changes) ** 0.5
+        mean = float(changes.mean())
+        error = float(changes.std(ddof=1)) / len(changes) ** 0.5
         if abs(mean) > max(_SURE_OF_SHIFT * error, _LEAST_SHIFT * bound):
             found.append(f"{name} is now {mean:+.3g} in the mean of {len(changes)} plans")
     return found

@@ -79,7 +79,8 @@ def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
             f"{given.path}: is of two logs; inspect one of them: limslam inspect {options.log}"
         )
     job = job_of(options.log, options, replay_agent(given, options), given.replay_robot())
-    prior_map, count = None if options.map is None else read_saved_map(options.map), len(job.log)
+    prior_map = None if options.map is None else read_saved_map(options.map)
+    count = len(job.log)
     with progress_bar("inspecting", count) as advance:
         return inspect_log(
             job.log,

@@ -20,9 +20,14 @@ from typer.models import OptionInfo
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
 
-_WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
+_WORLD = "World and robots"
+_AGENT = "Agent"
+_RESULTS = "Settings and results"
 _FAULTS = "Errors that the simulated robot has"
-_LOG, _TABLE, _ODOMETRY, _SCORE = "Log", "Tables (.csv)", "Odometry", "Score"
+_LOG = "Log"
+_TABLE = "Tables (.csv)"
+_ODOMETRY = "Odometry"
+_SCORE = "Score"
 _CONNECTION = "Connection and robot"
 
 _ROBOTS = "paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings."
@@ -440,7 +445,8 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None
 
 def _declared(kind: type[Any]) -> list[inspect.Parameter]:
     """The arguments of a function that typer makes the options of a dataclass of."""
-    hints, found = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
+    hints = get_type_hints(kind, include_extras=True)
+    found = list[inspect.Parameter]()
     for field in fields(kind):
         plain, *extras = (
             get_args(hints[field.name]) if hasattr(hints[field.name], "__metadata__") else (None,)

@@ -132,10 +132,8 @@ def _carry_out_both(
             raise ValueError(f"--{name} is for one log, not for two")
     if options.log is None or options.other_log is None:
         raise ValueError("two logs are needed: limslam replay LOG LOG")
-    paths, files = (
-        (options.log, options.other_log),
-        (options.relations, options.other_relations or options.relations),
-    )
+    paths = (options.log, options.other_log)
+    files = (options.relations, options.other_relations or options.relations)
     jobs = [
         job_of(path, replace(options, relations=file), agent, robot)
         for path, file in zip(paths, files, strict=True)

@@ -112,7 +112,8 @@ def _shown_run(
     from limslam_agent.runs.results import title_of
     from limslam_env.worlds.formats.loading import load_world
 
-    title, steps = title_of(config), round(config.max_time / config.robot.control_period) + 1
+    title = title_of(config)
+    steps = round(config.max_time / config.robot.control_period) + 1
     with ExitStack() as opened:
         film = page = follower = None
         if options.video is not None:

@@ -13,7 +13,9 @@ from limslam_agent.cli.terminal import say, warn
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
 
-_TRUTH, _ESTIMATE, _MAP = "Truth", "Estimate", "Map"
+_TRUTH = "Truth"
+_ESTIMATE = "Estimate"
+_MAP = "Map"
 
 ALIGNMENTS = ("none", "start", "path")
 """How the frame of an estimate can be moved onto that of the truth."""
@@ -122,7 +124,8 @@ def _scores(options: ScoreOptions, robot: "RobotSpec") -> dict[str, float | int 
     from limslam_env.worlds.formats.loading import load_world
 
     scores: dict[str, float | int | None] = {}
-    pairs, motion = None, np.zeros(3)
+    pairs = None
+    motion = np.zeros(3)
     if options.estimated is not None and options.true is not None:
         pairs = read_pairs(
             options.true, options.estimated, options.covariances, options.max_difference

@@ -102,7 +102,8 @@ class Given:
         Options win over the table: a preset on the command line that is not the file's brings its
         own estimator, and ``--noise`` sets the noise that the agent assumes.
         """
-        table, preset_in_file = self.table.get("agent", {}), self.table.get("preset", base.preset)
+        table = self.table.get("agent", {})
+        preset_in_file = self.table.get("preset", base.preset)
         if not isinstance(table, Mapping):
             raise SettingsError(f"{self.path}: agent: must be a table, not {table!r}")
         if "noise" in self.options and isinstance(noise := table.get("noise"), Mapping):
@@ -127,7 +128,8 @@ class Given:
 
     def warnings(self, preset: str) -> list[str]:
         """A line for tables of the file that are for another preset."""
-        in_file, table = self.table.get("preset", preset), self.table.get("agent", {})
+        in_file = self.table.get("preset", preset)
+        table = self.table.get("agent", {})
         unused = ", ".join(f"agent.{name}" for name in _OF_PRESET if name in table)
         if in_file == preset or not unused:
             return []
@@ -391,7 +393,8 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     from limslam_agent.replay.options import odometry_config
     from limslam_env.interface import NominalNoise
 
-    told, in_file = given.options, odometry_config(options.odometry_noise, options.odometry_bias)
+    told = given.options
+    in_file = odometry_config(options.odometry_noise, options.odometry_bias)
     agent = given.agent(
         replace(preset(options.preset, NominalNoise(options.noise)), odometry=in_file)
     )

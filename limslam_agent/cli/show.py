@@ -52,7 +52,8 @@ def show(
     )
     say(f"run         {run.title}", *lines)
     edges = true_edges(run)
-    title, picture = f"LimSLAM: {run.folder.name}", folder / PICTURE
+    title = f"LimSLAM: {run.folder.name}"
+    picture = folder / PICTURE
     if (
         not _drawn(out, title, SIZE, lambda figure: draw_run(figure, run, lines, edges))
         and picture.is_file()
@@ -80,7 +81,8 @@ def true_edges(run: "FinishedRun") -> "FloatArray | None":
     from limslam_agent.output.finished_run import WORLD
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
-    name, path = run.config.get("world"), run.folder / WORLD
+    name = run.config.get("world")
+    path = run.folder / WORLD
     if path.is_file():
         world = load_world(path)
     elif isinstance(name, str) and name in shipped_worlds():

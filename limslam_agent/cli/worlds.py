@@ -18,7 +18,8 @@ worlds = typer.Typer(name="worlds", help="List the shipped worlds; check and con
 _LARGE = 150.0
 
 # The grid that is searched grows as the robot shrinks.
-_SMALLEST_RADIUS, _LARGEST_RADIUS = 0.02, 10.0
+_SMALLEST_RADIUS = 0.02
+_LARGEST_RADIUS = 10.0
 
 _HEADINGS = ("name", "size, m", "walls", "obstacles", "doors", "starts", "loop", "id")
 

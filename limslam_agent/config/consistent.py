@@ -103,7 +103,8 @@ class SelfCalibrationConfig(Bounded):
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the scale errors of left wheel, right wheel and axle (3, 3)."""
-        both, half = self.size_std**2, 0.25 * self.uneven_std**2
+        both = self.size_std**2
+        half = 0.25 * self.uneven_std**2
         covariance = np.diag([both + half, both + half, self.axle_std**2])
         covariance[[0, 1], [1, 0]] = both - half
         return covariance

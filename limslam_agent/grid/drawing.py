@@ -25,7 +25,8 @@ class ReadingDrawer:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self._dropouts = robot, Dropouts(robot)
+        self._robot = robot
+        self._dropouts = Dropouts(robot)
         # Pose, readings, and those among them that saw nothing and are not drawn yet, of the last
         # steps.
         self._waiting = deque[tuple[FloatArray, FloatArray, BoolArray]](maxlen=_MOST_WAITING)

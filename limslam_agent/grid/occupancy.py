@@ -92,7 +92,8 @@ class OccupancyGrid:
         self._values = np.zeros((0, 0), dtype=np.int16)
         self._rules = np.array([config.seen_through, config.hit, config.limit])
         # Each cell has the number of the update that has changed it last.
-        self._stamps, self._stamp = np.zeros((0, 0), dtype=np.int32), 0
+        self._stamps = np.zeros((0, 0), dtype=np.int32)
+        self._stamp = 0
 
     @classmethod
     def of(cls, view: GridView, config: GridConfig) -> "OccupancyGrid":
@@ -191,7 +192,8 @@ class OccupancyGrid:
         """Move each cell with what lies around the nearest of some points (m, 2), by the rigid
         motions (m, 3) there.
         """
-        view, cell = self.view, self._config.cell
+        view = self.view
+        cell = self._config.cell
         before = np.column_stack((anchors, np.zeros(len(anchors))))
         known = (
             _moved_with_nearest(view.centres(np.argwhere(~view.unknown)), before, before + motions)
@@ -235,7 +237,9 @@ class OccupancyGrid:
         grown = np.zeros((rows_new, columns_new), dtype=np.int16)
         column, row = old_low - new_low
         grown[row : row + rows, column : column + columns] = self._values
-        self._low, self._values, self._stamps = new_low, grown, np.zeros_like(grown, dtype=np.int32)
+        self._low = new_low
+        self._values = grown
+        self._stamps = np.zeros_like(grown, dtype=np.int32)
 
 
 def _moved_with_nearest(points: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:

@@ -13,7 +13,8 @@ _TIGHT = 20.0
 # A step where no wall is in sight costs this many times as much.
 _OPEN = 3.0
 
-_NO_TARGETS, _NO_COSTS = np.zeros((0, 0), dtype=bool), np.zeros((0, 0))
+_NO_TARGETS = np.zeros((0, 0), dtype=bool)
+_NO_COSTS = np.zeros((0, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +89,8 @@ def routes(
     ways = Routes(np.full((rows, columns), np.inf), np.full(size, -1, dtype=np.int32))
     if not (0 <= row < rows and 0 <= column < columns):
         return ways
-    open_cells, away = grid.free if closed is None else grid.free & ~closed, wall_distance(grid)
+    open_cells = grid.free if closed is None else grid.free & ~closed
+    away = wall_distance(grid)
     open_cells[row, column] = True
     factors = np.where(away > coast, _OPEN, 1.0) + np.where(away < radius, _TIGHT, 0.0)
     factors += 2.0 * np.clip((radius + comfort - away) / comfort, 0.0, 1.0)

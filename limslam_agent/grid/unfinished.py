@@ -16,7 +16,9 @@ from limslam_env.geometry import BoolArray, FloatArray
 _NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
 # Farthest distance, in cells, of a face from a wall that is drawn there: across the wall, if the
 # face looks along it, and past the wall's end.
-_ACROSS, _SIDEWAYS, _PAST = 1.8, 0.8, 0.5
+_ACROSS = 1.8
+_SIDEWAYS = 0.8
+_PAST = 0.5
 # A wall and a face look the same way if their normals differ by less than the angle with this
 # cosine.
 _SAME_WAY = 0.5
@@ -50,7 +52,8 @@ def border_faces(grid: GridView, ground: BoolArray) -> Faces:
     rows, columns = grid.values.shape
     free = np.zeros((rows + 2, columns + 2), dtype=bool)
     free[1:-1, 1:-1] = grid.values > 0
-    cells, normals = [], []
+    cells = []
+    normals = []
     for down, right in _NEIGHBOURS:
         beyond = free[1 + down : rows + 1 + down, 1 + right : columns + 1 + right]
         found = np.argwhere(ground & ~beyond)

@@ -30,7 +30,8 @@ class Ragged:
     """
 
     def __init__(self, width: int) -> None:
-        self._width, self._rows = width, list[NDArray[Any]]()
+        self._width = width
+        self._rows = list[NDArray[Any]]()
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -78,7 +79,9 @@ def packed(arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], *, level
     It is a gzip file of the length of a header (4 bytes, little endian), the header, and the
     arrays. The header is JSON: ``meta``, and for each array its type, shape and place.
     """
-    listed, blocks, place = {}, [], 0
+    listed = {}
+    blocks = []
+    place = 0
     for name, array in arrays.items():
         block = np.ascontiguousarray(array).astype(array.dtype.newbyteorder("<")).tobytes()
         listed[name] = {

@@ -49,10 +49,13 @@ class EventLog:
     def __init__(self, mapper: Mapper) -> None:
         self.events: list[Event] = []
         self.associations: list[tuple[int, AssociationRecord]] = []
-        self._mapper, self._row = mapper, 0
+        self._mapper = mapper
+        self._row = 0
         self._open: tuple[Event, Comparison, int] | None = None
         self._extraction: Extraction | None = None
-        self._closures, self._frame, self._places = 0, mapper.frame, 0
+        self._closures = 0
+        self._frame = mapper.frame
+        self._places = 0
         self._goals = np.full((len(mapper.poses), 2), np.nan)
         self._levels = [0] * len(mapper.poses)
         self._slam: LineSlam | None = None
@@ -95,7 +98,8 @@ class EventLog:
 
         The local map of a lost robot is left alone, since most of it is forgotten.
         """
-        slam, is_lost = self._mapper.slam, self._mapper.statuses[0].level == "lost"
+        slam = self._mapper.slam
+        is_lost = self._mapper.statuses[0].level == "lost"
         if slam is not self._slam:
             if self._slam is not None and not self._mapper.frame:
                 self._add(
@@ -105,16 +109,15 @@ class EventLog:
                     }
                 )
             if not is_lost:
-                slam.on_association, slam.on_comparison = self._on_association, self._on_comparison
+                slam.on_association = self._on_association
+                slam.on_comparison = self._on_comparison
                 kept = zip(self.associations, slam.associations, strict=False)
                 del self.associations[
                     sum(1 for _ in takewhile(lambda pair: pair[0][1] is pair[1], kept)) :
                 ]
-            self._slam, self._closures, self._extraction = (
-                slam,
-                len(slam.closures),
-                slam.last_extraction,
-            )
+            self._slam = slam
+            self._closures = len(slam.closures)
+            self._extraction = slam.last_extraction
         if slam.on_association is not None:
             self.associations += [
                 (self._row, record) for record in slam.associations[len(self.associations) :]
@@ -155,7 +158,8 @@ class EventLog:
 
     def _look_at(self, slam: LineSlam) -> None:
         """Note a new extraction, and the loops that were closed."""
-        last, hough = slam.last_extraction, slam.config.estimator.hough
+        last = slam.last_extraction
+        hough = slam.config.estimator.hough
         if last is not None and last is not self._extraction and slam is self._slam:
             self._extraction = last
             if len(last.points):
@@ -180,7 +184,8 @@ class EventLog:
             self._add({"kind": "place", "words": words})
         if mapper.frame != self._frame and len(records) == self._places:
             self._add({"kind": "place", "words": "the map goes on in another frame"})
-        self._places, self._frame = len(records), mapper.frame
+        self._places = len(records)
+        self._frame = mapper.frame
         for number, status in enumerate(mapper.statuses):
             level = LEVELS.index(status.level)
             if level != self._levels[number]:

@@ -16,7 +16,9 @@ from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
-UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+UNKNOWN = 0
+FREE = 1
+OCCUPIED = 2
 """Kinds of cells."""
 
 MOST_GROUPS = 24
@@ -36,7 +38,8 @@ class GridChanges:
     """
 
     def __init__(self) -> None:
-        self._kinds, self._place = np.zeros((0, 0), dtype=np.int8), np.zeros(2, dtype=int)
+        self._kinds = np.zeros((0, 0), dtype=np.int8)
+        self._place = np.zeros(2, dtype=int)
 
     def since_last(self, grid: GridView) -> IntArray:
         """Runs (k, 4) of cells that have changed: row, first column, number of cells, and their new
@@ -47,12 +50,14 @@ class GridChanges:
         ).astype(np.int8)
         place = np.rint(grid.low / grid.cell).astype(int)[::-1]
         old = self._place if self._kinds.size else place
-        low, high = np.minimum(old, place), np.maximum(old + self._kinds.shape, place + kinds.shape)
+        low = np.minimum(old, place)
+        high = np.maximum(old + self._kinds.shape, place + kinds.shape)
         before, after = (
             np.pad(each, np.column_stack((at - low, high - at - each.shape)))
             for at, each in ((old, self._kinds), (place, kinds))
         )
-        self._place, self._kinds = place, kinds
+        self._place = place
+        self._kinds = kinds
         rows, columns = np.nonzero(before != after)
         found = after[rows, columns]
         is_first = np.ones(len(rows), dtype=bool)

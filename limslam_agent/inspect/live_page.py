@@ -56,7 +56,9 @@ class LivePage:
     """
 
     def __init__(self, title: str, address: str, edges: FloatArray | None = None) -> None:
-        self.title, self.address, self.is_over = title, address, False
+        self.title = title
+        self.address = address
+        self.is_over = False
         self._fixed = {} if edges is None else {"edges": edges.astype(np.float32)}
         self._changed = threading.Condition()
         # Each is replaced as a whole, so that the run does not wait while a state is packed for a
@@ -115,7 +117,8 @@ class Follower:
     """
 
     def __init__(self, page: LivePage | None, steps: int) -> None:
-        self._page, self._steps = page, steps
+        self._page = page
+        self._steps = steps
         self._recorder: Recorder | None = None
 
     def note(

@@ -46,25 +46,33 @@ class Recorder:
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
-        self._mapper, self._steps, self.log = mapper, steps, EventLog(mapper)
-        self._time, self._true, self._slam_steps = list[float](), list[FloatArray](), list[int]()
+        self._mapper = mapper
+        self._steps = steps
+        self.log = EventLog(mapper)
+        self._time = list[float]()
+        self._true = list[FloatArray]()
+        self._slam_steps = list[int]()
         self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
         self._beams = np.unique(
             np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int)
         )
-        self._row, self.frame_rows = 0, list[int]()
+        self._row = 0
+        self.frame_rows = list[int]()
         self._columns = defaultdict[str, list[Any]](list)
         self._reasons: dict[str, int] = {"": 0}
-        self._pending, self._plans, self._cells = Ragged(2), Ragged(2), Ragged(2)
-        self._walls, self._marks, self._grid = Ragged(5), Ragged(11), Ragged(4)
+        self._pending = Ragged(2)
+        self._plans = Ragged(2)
+        self._cells = Ragged(2)
+        self._walls = Ragged(5)
+        self._marks = Ragged(11)
+        self._grid = Ragged(4)
         self._frontiers: list[list[dict[str, Any]]] = []
         self._changes = GridChanges()
-        self._last_map, self._last_plans = b"", b""
-        self._last_goals, self._frontiers_at = (
-            np.full((len(mapper.poses), 2), np.nan),
-            -_FRONTIERS_EVERY,
-        )
+        self._last_map = b""
+        self._last_plans = b""
+        self._last_goals = np.full((len(mapper.poses), 2), np.nan)
+        self._frontiers_at = -_FRONTIERS_EVERY
 
     def note(
         self,
@@ -102,12 +110,14 @@ class Recorder:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All columns by their names in ``page/data.js``."""
-        walls, marks = self._walls.values(), self._marks.values()
+        walls = self._walls.values()
+        marks = self._marks.values()
         pending, plans, cells = (
             each.values() for each in (self._pending, self._plans, self._cells)
         )
         self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
-        rows, columns = np.array(self.frame_rows), self._columns
+        rows = np.array(self.frame_rows)
+        columns = self._columns
         found: dict[str, NDArray[Any]] = {
             "time": np.array(self._time)[rows],
             **{
@@ -149,7 +159,8 @@ class Recorder:
 
     def meta(self) -> dict[str, Any]:
         """All that is no array. Call :meth:`arrays` before."""
-        mapper, robot = self._mapper, self._mapper.robot
+        mapper = self._mapper
+        robot = self._mapper.robot
         return {
             "robots": len(mapper.poses),
             "radius": robot.radius,
@@ -189,7 +200,8 @@ class Recorder:
     def _keep(
         self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray
     ) -> None:
-        mapper, columns = self._mapper, self._columns
+        mapper = self._mapper
+        columns = self._columns
         self.frame_rows.append(self._row)
         for name, column in self._estimates().items():
             columns[name].append(column)
@@ -207,7 +219,8 @@ class Recorder:
 
     def _estimates(self) -> dict[str, Any]:
         """What the mapper estimates now of each robot."""
-        mapper, statuses = self._mapper, self._mapper.statuses
+        mapper = self._mapper
+        statuses = self._mapper.statuses
         return {
             "pose": mapper.poses,
             "cov": mapper.covariances[:, *np.triu_indices(3)],
@@ -223,7 +236,8 @@ class Recorder:
         seen.
         """
         robot = self._mapper.robot
-        some, most = ranges[:, self._beams], robot.max_ranges[self._beams]
+        some = ranges[:, self._beams]
+        most = robot.max_ranges[self._beams]
         whole = np.clip(np.rint(np.nan_to_num(some) * _MM), 1, 65534)
         return np.where(np.isnan(some), 0, np.where(some >= most, 65535, whole)).astype(np.uint16)
 
@@ -248,7 +262,8 @@ class Recorder:
 
     def _keep_map(self, slam: LineSlam) -> None:
         """Keep walls and landmarks where they have changed since the last frame."""
-        every, walls = slam.all_landmarks, slam.segments
+        every = slam.all_landmarks
+        walls = slam.segments
         owners = np.full(len(walls), -1.0)
         for mark in slam.landmarks:
             owners[list(mark.segments)] = mark.number + 1
@@ -289,7 +304,8 @@ class Recorder:
         if not has_moved and self._row - self._frontiers_at < _FRONTIERS_EVERY:
             return
         self._last_goals, self._frontiers_at = goals, self._row
-        mapper, found = self._mapper, []
+        mapper = self._mapper
+        found = []
         shown = slice(1) if mapper.is_apart else slice(None)
         for cells, costs in frontiers_of(
             mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy
@@ -303,7 +319,8 @@ class Recorder:
         which it was.
         """
         shape = len(self._time), len(self._mapper.poses), len(self._mapper.robot.beams)
-        wall, given = np.zeros(shape, dtype=np.uint16), np.zeros(shape, dtype=np.uint32)
+        wall = np.zeros(shape, dtype=np.uint16)
+        given = np.zeros(shape, dtype=np.uint32)
         # A live robot may have made several steps since the last one that was noted.
         noted = np.full(max(self._slam_steps, default=-1) + 2, -1)
         noted[self._slam_steps] = np.arange(len(self._slam_steps))
@@ -311,10 +328,8 @@ class Recorder:
             steps, beams = record.readings.T
             steps = noted[np.minimum(steps, len(noted) - 1)]
             steps, beams = steps[steps >= 0], beams[steps >= 0]
-            wall[steps, record.robot, beams], given[steps, record.robot, beams] = (
-                record.landmark + 1,
-                row,
-            )
+            wall[steps, record.robot, beams] = record.landmark + 1
+            given[steps, record.robot, beams] = row
         return {"owner": wall[rows][..., self._beams], "given": given[rows][..., self._beams]}
 
     def _nees(self, true: FloatArray) -> NDArray[np.float32]:

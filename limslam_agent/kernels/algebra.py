@@ -21,12 +21,15 @@ def wrapped(angle: float) -> float:
 def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
     """Sort keys in place by stable insertion, and permute ``follow`` alike."""
     for i in range(1, size):
-        key, other = keys[i], follow[i]
+        key = keys[i]
+        other = follow[i]
         j = i
         while j > 0 and keys[j - 1] > key:
-            keys[j], follow[j] = keys[j - 1], follow[j - 1]
+            keys[j] = keys[j - 1]
+            follow[j] = follow[j - 1]
             j -= 1
-        keys[j], follow[j] = key, other
+        keys[j] = key
+        follow[j] = other
 
 
 @compiled
@@ -107,7 +110,8 @@ def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, s
     columns.
     """
     for column in range(first, last):
-        a, b = 0.0, 0.0
+        a = 0.0
+        b = 0.0
         for i in range(size):
             a += values[i, column] * basis[i, 0]
             b += values[i, column] * basis[i, 1]
@@ -120,7 +124,8 @@ def quantile(ordered: FloatArray, size: int, share: float) -> float:
     """Quantile of sorted numbers, with numpy's linear interpolation."""
     place = share * (size - 1)
     low = math.floor(place)
-    high, part = min(low + 1, size - 1), place - low
+    high = min(low + 1, size - 1)
+    part = place - low
     step = float(ordered[high] - ordered[low])
     return (
         float(ordered[high]) - step * (1.0 - part)

@@ -13,7 +13,9 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
 StampArray: TypeAlias = NDArray[np.int32]
 
-SKIPPED, CROSSED, ENDED = 0, 1, 2
+SKIPPED = 0
+CROSSED = 1
+ENDED = 2
 """What happened in a touched cell: nothing that counts, a beam or the body crossed it, or a beam
 ended in it.
 """
@@ -40,12 +42,18 @@ def touched_cells(
     origin, and ``CROSSED`` or ``ENDED``. They may repeat, and those in which a beam ended come
     first.
     """
-    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    spacing, most = 0.5 * cell, len(BODY)
+    x = pose[0]
+    y = pose[1]
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    spacing = 0.5 * cell
+    most = len(BODY)
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
             most += math.floor(float(ranges[beam]) / spacing) + 1
-    cells, size, samples = np.empty((most, 3), dtype=np.int64), 0, np.empty((2, most))
+    cells = np.empty((most, 3), dtype=np.int64)
+    size = 0
+    samples = np.empty((2, most))
     for beam in range(len(ranges)):
         length = float(ranges[beam])
         # A reading at the minimum says that something is near, or that the sensor is dirty, but not
@@ -62,11 +70,14 @@ def touched_cells(
         if not (measured[beam] and length > beams[beam, TOO_NEAR]):
             continue
         number = math.floor(length / spacing)
-        from_x, from_y = beams[beam, FROM_X], beams[beam, FROM_Y]
-        towards_x, towards_y = beams[beam, TOWARDS_X], beams[beam, TOWARDS_Y]
+        from_x = beams[beam, FROM_X]
+        from_y = beams[beam, FROM_Y]
+        towards_x = beams[beam, TOWARDS_X]
+        towards_y = beams[beam, TOWARDS_Y]
         # A loop without branches, so that the compiler takes several samples at once.
         for i in range(number):
-            px, py = from_x + i * spacing * towards_x, from_y + i * spacing * towards_y
+            px = from_x + i * spacing * towards_x
+            py = from_y + i * spacing * towards_y
             samples[0, i] = np.floor((px * sin + py * cos + y) / cell)
             samples[1, i] = np.floor((px * cos - py * sin + x) / cell)
         for i in range(number):
@@ -105,7 +116,8 @@ def change_cells(
     not contain yet.
     """
     for i in range(len(cells)):
-        row, column = cells[i, 0], cells[i, 1]
+        row = cells[i, 0]
+        column = cells[i, 1]
         if cells[i, 2] == SKIPPED or stamps[row, column] == stamp:
             continue
         stamps[row, column] = stamp
@@ -148,9 +160,13 @@ def update_grid(
     and to those after the last ones.
     """
     cells = touched_cells(pose, ranges, measured, beams, radius, cell)
-    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    x = pose[0]
+    y = pose[1]
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     for axis in range(2):
-        touched[0, axis], touched[1, axis] = cells[0, 1 - axis], cells[0, 1 - axis] + 1
+        touched[0, axis] = cells[0, 1 - axis]
+        touched[1, axis] = cells[0, 1 - axis] + 1
     for i in range(len(cells)):
         include(touched, cells[i, 1], cells[i, 0])
     for beam in range(len(ranges)):

@@ -50,17 +50,18 @@ def move_pose(
     The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold
     zeros, are set to the derivatives of the new pose.
     """
-    cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
-    ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
+    cos = math.cos(x[at + 2])
+    sin = math.sin(x[at + 2])
+    ahead = cos * increment[0] - sin * increment[1]
+    left = sin * increment[0] + cos * increment[1]
     for k in range(POSE):
         by_pose[k, k] = 1.0
-    by_pose[0, 2], by_pose[1, 2] = -left, ahead
-    by_increment[0, 0], by_increment[0, 1], by_increment[1, 0], by_increment[1, 1] = (
-        cos,
-        -sin,
-        sin,
-        cos,
-    )
+    by_pose[0, 2] = -left
+    by_pose[1, 2] = ahead
+    by_increment[0, 0] = cos
+    by_increment[0, 1] = -sin
+    by_increment[1, 0] = sin
+    by_increment[1, 1] = cos
     by_increment[2, 2] = 1.0
     x[at], x[at + 1], x[at + 2] = x[at] + ahead, x[at + 1] + left, wrapped(x[at + 2] + increment[2])
     for j in range(size):
@@ -113,7 +114,8 @@ def keep_states(
     ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move
     together.
     """
-    size, first = 0, len(is_kept)
+    size = 0
+    first = len(is_kept)
     for place in range(len(is_kept)):
         if is_kept[place]:
             kept[0, size] = place
@@ -129,9 +131,11 @@ def keep_states(
             x[new] = x[old]
             for j in range(by_errors.shape[1]):
                 by_errors[new, j] = by_errors[old, j]
-        begin, last = first if new < first else 0, size if new < whole else new + 1
+        begin = first if new < first else 0
+        last = size if new < whole else new + 1
         while begin < last:
-            end, shift = min(kept[1, begin], last), kept[0, begin] - begin
+            end = min(kept[1, begin], last)
+            shift = kept[0, begin] - begin
             for j in range(begin, end):
                 P[new, j] = P[old, j + shift]
             begin = end
@@ -145,7 +149,8 @@ def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
     block = np.empty((len(columns), len(columns)))
     for i in range(len(columns)):
         for j in range(len(columns)):
-            low, high = min(columns[i], columns[j]), max(columns[i], columns[j])
+            low = min(columns[i], columns[j])
+            high = max(columns[i], columns[j])
             block[i, j] = P[low, high] if low < POSE else P[high, low]
     return block
 
@@ -214,8 +219,12 @@ def transport_rows(
             across[k, j] = moved[j, k]
     for i in range(len(columns)):
         column = columns[i]
-        a, b, c = moved[column, 0], moved[column, 1], moved[column, 2]
-        d, e, f = P[0, column], P[1, column], P[2, column]
+        a = moved[column, 0]
+        b = moved[column, 1]
+        c = moved[column, 2]
+        d = P[0, column]
+        e = P[1, column]
+        f = P[2, column]
         for j in range(size):
             out[i, j] = rows[i, j] + (
                 a * pose[0, j]
@@ -238,17 +247,23 @@ def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray)
     # Two rows at once, so that what is loaded of ``right`` is used twice. The first of them is
     # updated one place beyond the diagonal, which is not read.
     for i in range(size % 2, size, 2):
-        row, other, end = P[i], P[i + 1], size if i < whole else i + 2
+        row = P[i]
+        other = P[i + 1]
+        end = size if i < whole else i + 2
         for k in range(0, rank, 4):
-            a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
-            e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
+            a = left[k, i]
+            b = left[k + 1, i]
+            c = left[k + 2, i]
+            d = left[k + 3, i]
+            e = left[k, i + 1]
+            f = left[k + 1, i + 1]
+            g = left[k + 2, i + 1]
+            h = left[k + 3, i + 1]
             for j in range(end):
-                one, two, three, four = (
-                    right[k, j],
-                    right[k + 1, j],
-                    right[k + 2, j],
-                    right[k + 3, j],
-                )
+                one = right[k, j]
+                two = right[k + 1, j]
+                three = right[k + 2, j]
+                four = right[k + 3, j]
                 row[j] += a * one + b * two + c * three + d * four
                 other[j] += e * one + f * two + g * three + h * four
 
@@ -280,8 +295,10 @@ def correct_state(
     """
     rank = len(W)
     height = (rank + 2 * POSE + 3) // 4 * 4
-    left, right = np.zeros((height, size)), np.zeros((height, size))
-    after, both = np.empty((size, POSE)), np.empty((size, POSE))
+    left = np.zeros((height, size))
+    right = np.zeros((height, size))
+    after = np.empty((size, POSE))
+    both = np.empty((size, POSE))
     fill_transport(x, size, begins, anchors, num_lines, both)
     for j in range(size):
         x[j] += change[j]

@@ -58,14 +58,18 @@ def add_wall(walls: Walls, index: int) -> None:
 
 def reach(walls: Walls, index: int, place: int) -> int:
     """Extend a landmark's bins to hold one more, and return its index; -1 if there is no room."""
-    wall, counted, reached = walls.table[index], walls.counted[index], walls.reached[index]
+    wall = walls.table[index]
+    counted = walls.counted[index]
+    reached = walls.reached[index]
     if not -_FARTHEST_BIN < place < _FARTHEST_BIN:
         walls.tally[OVERFLOWS] += 1
         return -1
     length = wall[LENGTH]
     if not length:
-        wall[LOW], length = place, 1
-    before, most = max(0, wall[LOW] - place), counted.shape[1]
+        wall[LOW] = place
+        length = 1
+    before = max(0, wall[LOW] - place)
+    most = counted.shape[1]
     length = max(length + before, place - wall[LOW] + 1)
     if length > most:
         walls.tally[OVERFLOWS] += 1
@@ -85,7 +89,8 @@ def note_hit(walls: Walls, index: int, place: int, first: float, last: float) ->
     """Note that the hits in a bin lie between two positions, m along the line, and perhaps farther
     apart.
     """
-    reached, ends = walls.reached[index], walls.ends[index]
+    reached = walls.reached[index]
+    ends = walls.ends[index]
     reached[LEAST, place] = min(reached[LEAST, place], first)
     reached[MOST, place] = max(reached[MOST, place], last)
     ends[LEAST], ends[MOST] = min(ends[LEAST], first), max(ends[MOST], last)
@@ -167,12 +172,16 @@ def clear_along_beams(
     and the growth of ``RangeSensor``. ``rays`` (b, 6) is scratch: origin, direction, length, m, and
     margin, m, of the beams that count.
     """
-    pose, unsure = x[at : at + POSE], covariance[at, at] + covariance[at + 1, at + 1]
+    pose = x[at : at + POSE]
+    unsure = covariance[at, at] + covariance[at + 1, at + 1]
     turned = covariance[at + 2, at + 2]
-    cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    count = 0
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            far, heading = min(ranges[beam], beams[beam, FARTHEST]), pose[2] + beams[beam, ANGLE]
+            far = min(ranges[beam], beams[beam, FARTHEST])
+            heading = pose[2] + beams[beam, ANGLE]
             rays[count, 0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
             rays[count, 1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
             rays[count, 2], rays[count, 3], grown = (
@@ -181,20 +190,23 @@ def clear_along_beams(
                 noise[1] * far * far,
             )
             margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + unsure + turned * far**2)
-            rays[count, 4], rays[count, 5], count = far - THROUGH_SLACK, margin, count + 1
+            rays[count, 4] = far - THROUGH_SLACK
+            rays[count, 5] = margin
+            count = count + 1
     for index in range(counts[LINES]):
-        line, low, high = (
-            counts[LINES_FROM] + 2 * index,
-            walls.ends[index, LEAST],
-            walls.ends[index, MOST],
-        )
-        nx, ny = math.cos(x[line + 1]), math.sin(x[line + 1])
+        line = counts[LINES_FROM] + 2 * index
+        low = walls.ends[index, LEAST]
+        high = walls.ends[index, MOST]
+        nx = math.cos(x[line + 1])
+        ny = math.sin(x[line + 1])
         for ray in range(count):
-            ux, uy = rays[ray, 2], rays[ray, 3]
+            ux = rays[ray, 2]
+            uy = rays[ray, 3]
             cosine = ux * nx + uy * ny
             if abs(cosine) <= GRAZING:
                 continue
-            off_x, off_y = rays[ray, 0] - anchors[index, 0], rays[ray, 1] - anchors[index, 1]
+            off_x = rays[ray, 0] - anchors[index, 0]
+            off_y = rays[ray, 1] - anchors[index, 1]
             ahead = (x[line] - off_x * nx - off_y * ny) / cosine
             if ahead > 0.0 and ahead + rays[ray, 5] / abs(cosine) < rays[ray, 4]:
                 position = (off_y + ahead * uy) * nx - (off_x + ahead * ux) * ny

@@ -34,11 +34,13 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
     Bins have a size of ``r_step``, m, by ``theta_step``, rad; r may be negative, and theta is in
     [0, pi). Points that would need more than ``MOST_BINS`` are too far apart for a line.
     """
-    single, step = np.float32, r_step
+    single = np.float32
+    step = r_step
     reach = 0.0
     for i in range(len(points)):
         reach = max(reach, math.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1]))
-    angles, low = num_angles(theta_step), -reach - step
+    angles = num_angles(theta_step)
+    low = -reach - step
     # A comparison with NaN is false.
     if not (angles + 2) * ((reach + step - low + 1.0) / step + 2.0) < MOST_BINS:
         return np.empty((0, 2))
@@ -47,12 +49,12 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
     wide = int(np.rint((reach + step - low + 1.0) / step)) + 2
     counts = np.zeros((angles + 2) * wide, dtype=np.int32)
     most = len(points) * angles // max(min_votes, 1)
-    found, size, angle = np.empty(most, dtype=np.int64), 0, single(0.0)
-    xs, ys, places = (
-        points[:, 0].astype(single),
-        points[:, 1].astype(single),
-        np.empty(len(points), dtype=np.int32),
-    )
+    found = np.empty(most, dtype=np.int64)
+    size = 0
+    angle = single(0.0)
+    xs = points[:, 0].astype(single)
+    ys = points[:, 1].astype(single)
+    places = np.empty(len(points), dtype=np.int32)
     for n in range(angles):
         cos = single(math.cos(float(angle)) * float(inverse))
         sin = single(math.sin(float(angle)) * float(inverse))
@@ -80,7 +82,9 @@ def peaks(
     theta_step: float,
 ) -> FloatArray:
     """Lines (k, 2) of those bins that have more votes than their neighbours."""
-    keys, places, size = np.empty(len(found)), np.empty(len(found), dtype=np.int64), 0
+    keys = np.empty(len(found))
+    places = np.empty(len(found), dtype=np.int64)
+    size = 0
     for place in found:
         votes_here = counts[place]
         if (
@@ -90,7 +94,8 @@ def peaks(
             and votes_here >= counts[place + wide]
         ):
             # Most votes first; of equal votes, the first bin.
-            keys[size], places[size] = place - float(votes_here) * 2.0**32, place
+            keys[size] = place - float(votes_here) * 2.0**32
+            places[size] = place
             size += 1
     sort_with(keys, places, size)
     size = min(size, MAX_CANDIDATES)
@@ -108,24 +113,38 @@ def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[f
     """(r, theta), normalised, of the line through some points by total least squares; fills its
     ends (2, 2), m.
     """
-    middle_x, middle_y, number = 0.0, 0.0, len(members)
+    middle_x = 0.0
+    middle_y = 0.0
+    number = len(members)
     for i in members:
         middle_x += points[i, 0]
         middle_y += points[i, 1]
-    middle_x, middle_y = middle_x / number, middle_y / number
-    xx, yy, xy = 0.0, 0.0, 0.0
+    middle_x = middle_x / number
+    middle_y = middle_y / number
+    xx = 0.0
+    yy = 0.0
+    xy = 0.0
     for i in members:
-        x, y = points[i, 0] - middle_x, points[i, 1] - middle_y
-        xx, yy, xy = xx + x * x, yy + y * y, xy + x * y
+        x = points[i, 0] - middle_x
+        y = points[i, 1] - middle_y
+        xx = xx + x * x
+        yy = yy + y * y
+        xy = xy + x * y
     axis = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    cos, sin, theta = math.cos(axis), math.sin(axis), axis + 0.5 * math.pi
+    cos = math.cos(axis)
+    sin = math.sin(axis)
+    theta = axis + 0.5 * math.pi
     r = middle_x * math.cos(theta) + middle_y * math.sin(theta)
-    least, most = np.inf, -np.inf
+    least = np.inf
+    most = -np.inf
     for i in members:
         along = (points[i, 0] - middle_x) * cos + (points[i, 1] - middle_y) * sin
-        least, most = min(least, along), max(most, along)
-    ends[0, 0], ends[0, 1] = middle_x + least * cos, middle_y + least * sin
-    ends[1, 0], ends[1, 1] = middle_x + most * cos, middle_y + most * sin
+        least = min(least, along)
+        most = max(most, along)
+    ends[0, 0] = middle_x + least * cos
+    ends[0, 1] = middle_y + least * sin
+    ends[1, 0] = middle_x + most * cos
+    ends[1, 1] = middle_y + most * sin
     return (-r, wrapped(theta + math.pi)) if r < 0.0 else (r, wrapped(theta))
 
 
@@ -134,8 +153,10 @@ def near_line(
     points: FloatArray, free: np.ndarray, r: float, theta: float, most: float
 ) -> IntArray:
     """Indices (n,) of the free points within ``most``, m, of a line."""
-    chosen, size = np.empty(len(points), dtype=np.int64), 0
-    cos, sin = math.cos(theta), math.sin(theta)
+    chosen = np.empty(len(points), dtype=np.int64)
+    size = 0
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     for i in range(len(points)):
         if free[i] and abs(points[i, 0] * cos + points[i, 1] * sin - r) <= most:
             chosen[size] = i
@@ -164,7 +185,9 @@ def refined(
             return members[:0], np.empty(0)
         r, theta = fit_line(points, members, ends)
     members = near_line(points, free, r, theta, limits[1])
-    cos, sin, along = math.cos(theta), math.sin(theta), np.empty(len(members))
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    along = np.empty(len(members))
     for i in range(len(members)):
         along[i] = -sin * points[members[i], 0] + cos * points[members[i], 1]
     sort_with(along, members, len(members))
@@ -192,32 +215,42 @@ def refine_lines(
     are the ``owner`` of each point (n,), -1 for none, the ``lines`` (k, 2) as (r, theta), and their
     ``ends`` (k, 2, 2), m.
     """
-    total, size, middle_x, middle_y = len(points), 0, 0.0, 0.0
+    total = len(points)
+    size = 0
+    middle_x = 0.0
+    middle_y = 0.0
     for i in range(total):
         owner[i] = -1
         middle_x += points[i, 0]
         middle_y += points[i, 1]
     if total < votes:
         return 0
-    middle_x, middle_y = middle_x / total, middle_y / total
-    free, left = np.ones(total, dtype=np.bool_), total
+    middle_x = middle_x / total
+    middle_y = middle_y / total
+    free = np.ones(total, dtype=np.bool_)
+    left = total
     for number in range(len(candidates)):
         theta = candidates[number, 1]
         r = candidates[number, 0] + middle_x * math.cos(theta) + middle_y * math.sin(theta)
         members, along = refined(points, free, r, theta, limits, votes)
-        first, before = 0, size
+        first = 0
+        before = size
         for i in range(1, len(members) + 1):
             if i < len(members) and along[i] - along[i - 1] <= gap:
                 continue
-            part, first = members[first:i], i
+            part = members[first:i]
+            first = i
             if len(part) < votes:
                 continue
             r_part, theta_part = fit_line(points, part, ends[size])
-            x, y = ends[size, 1, 0] - ends[size, 0, 0], ends[size, 1, 1] - ends[size, 0, 1]
+            x = ends[size, 1, 0] - ends[size, 0, 0]
+            y = ends[size, 1, 1] - ends[size, 0, 1]
             if math.sqrt(x * x + y * y) >= least:
-                lines[size, 0], lines[size, 1] = r_part, theta_part
+                lines[size, 0] = r_part
+                lines[size, 1] = theta_part
                 for each in part:
-                    owner[each], free[each] = size, False
+                    owner[each] = size
+                    free[each] = False
                 left -= len(part)
                 size += 1
         if (only_best and size > before) or left < votes:
@@ -259,9 +292,12 @@ def extract_lines(
         The line of each point (n,), -1 for none, the lines (k, 2) as (r, theta), and their end
         points (k, 2, 2), m.
     """
-    total, about, owner = len(points), points.copy(), np.full(len(points), -1)
+    total = len(points)
+    about = points.copy()
+    owner = np.full(len(points), -1)
     most = total // max(min_votes, 1) + 1
-    lines, ends = np.empty((most, 2)), np.empty((most, 2, 2))
+    lines = np.empty((most, 2))
+    ends = np.empty((most, 2, 2))
     if total < min_votes:
         return owner, lines[:0], ends[:0]
     # Votes are counted about the points' centre, where r and theta are nearly independent.

@@ -38,7 +38,8 @@ def read_share(cosine: float, width: float) -> float:
     """
     if width == 0.0:
         return 1.0
-    steep, sine = abs(cosine), math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    steep = abs(cosine)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
     turned = steep * math.cos(width) + sine * math.sin(width)
     return steep if sine <= math.sin(width) else steep / turned
 
@@ -50,7 +51,8 @@ def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
 
     ``heading``, rad, is that of the pose that the reading was taken from.
     """
-    angle, cone = float(reading[2]), reading[4]
+    angle = float(reading[2])
+    cone = reading[4]
     if cone > 0.0:
         turn = (theta - heading - angle + 0.5 * math.pi) % math.pi - 0.5 * math.pi
         angle += min(max(turn, -cone), cone) if abs(turn) < FLATTEST else 0.0
@@ -73,26 +75,33 @@ def predict_ranges(
     ``line`` is (d, theta), m and rad, about an ``anchor``, m. ``out`` (k, 7) is filled: range,
     derivatives by pose (3) and by line (2), and cosine between beam and normal.
     """
-    nx, ny = math.cos(line[1]), math.sin(line[1])
+    nx = math.cos(line[1])
+    ny = math.sin(line[1])
     for i in range(len(chosen)):
         read = chosen[i]
         at = start + POSE * places[read]
-        cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
-        offset_x, offset_y = (
-            cos * readings[read, 0] - sin * readings[read, 1],
-            sin * readings[read, 0] + cos * readings[read, 1],
-        )
+        cos = math.cos(x[at + 2])
+        sin = math.sin(x[at + 2])
+        offset_x = cos * readings[read, 0] - sin * readings[read, 1]
+        offset_y = sin * readings[read, 0] + cos * readings[read, 1]
         heading = x[at + 2] + ray_angle(readings[read], x[at + 2], line[1])
-        ux, uy = math.cos(heading), math.sin(heading)
-        from_x, from_y = x[at] + offset_x - anchor[0], x[at + 1] + offset_y - anchor[1]
+        ux = math.cos(heading)
+        uy = math.sin(heading)
+        from_x = x[at] + offset_x - anchor[0]
+        from_y = x[at + 1] + offset_y - anchor[1]
         cosine = nx * ux + ny * uy
         divisor = math.copysign(max(abs(cosine), LEAST_DIVISOR), cosine)
         reach = (line[0] - nx * from_x - ny * from_y) / divisor
-        hit_x, hit_y = from_x + reach * ux, from_y + reach * uy
+        hit_x = from_x + reach * ux
+        hit_y = from_y + reach * uy
         turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)
         out[i, 0] = reach
-        out[i, 1], out[i, 2], out[i, 3] = -nx / divisor, -ny / divisor, -turning / divisor
-        out[i, 4], out[i, 5], out[i, 6] = 1.0 / divisor, (hit_x * ny - hit_y * nx) / divisor, cosine
+        out[i, 1] = -nx / divisor
+        out[i, 2] = -ny / divisor
+        out[i, 3] = -turning / divisor
+        out[i, 4] = 1.0 / divisor
+        out[i, 5] = (hit_x * ny - hit_y * nx) / divisor
+        out[i, 6] = cosine
 
 
 @compiled
@@ -102,7 +111,9 @@ def end_of_beam(
     """End point, m, of a ray at ``angle``, rad, with a range, m, from the pose that begins in the
     state at ``at``.
     """
-    cos, sin, heading = math.cos(x[at + 2]), math.sin(x[at + 2]), x[at + 2] + angle
+    cos = math.cos(x[at + 2])
+    sin = math.sin(x[at + 2])
+    heading = x[at + 2] + angle
     return (
         x[at] + (cos * reading[0] - sin * reading[1]) + reach * math.cos(heading),
         x[at + 1] + (sin * reading[0] + cos * reading[1]) + reach * math.sin(heading),
@@ -132,11 +143,14 @@ def fill_transport(
         row = at if at < poses_end else at - poses_end + clones_from
         for k in range(POSE):
             out[row + k, k] = 1.0
-        out[row, 2], out[row + 1, 2] = x[1] - x[row + 1], x[row] - x[0]
+        out[row, 2] = x[1] - x[row + 1]
+        out[row + 1, 2] = x[row] - x[0]
     for number in range(num_lines):
         row = first + 2 * number
-        cos, sin = math.cos(x[row + 1]), math.sin(x[row + 1])
-        out[row, 0], out[row, 1] = cos, sin
+        cos = math.cos(x[row + 1])
+        sin = math.sin(x[row + 1])
+        out[row, 0] = cos
+        out[row, 1] = sin
         out[row, 2] = cos * (x[1] - anchors[number, 1]) - sin * (x[0] - anchors[number, 0])
         out[row + 1, 2] = 1.0
 
@@ -160,7 +174,8 @@ def ends_of_beams(
     """
     points = np.empty((len(places), 2))
     for i in range(len(places)):
-        at, angle = start + POSE * places[i], readings[i, 2]
+        at = start + POSE * places[i]
+        angle = readings[i, 2]
         if not math.isnan(theta):
             angle = ray_angle(readings[i], x[at + 2], theta)
         points[i] = end_of_beam(x, at, readings[i], angle, readings[i, 3])

@@ -43,9 +43,11 @@ def place_readings(
     A beam at its minimum range has hit something at the share ``touching`` of it. ``beams`` is
     ``RobotSpec.beam_table``.
     """
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     for beam in range(len(ranges)):
-        near, reading = beams[beam, TOO_NEAR], ranges[beam]
+        near = beams[beam, TOO_NEAR]
+        reading = ranges[beam]
         if not math.isfinite(reading):
             reading = beams[beam, FARTHEST]
         for axis in range(2):
@@ -75,7 +77,8 @@ def is_clear(
     reach = 1.001 * (farthest + abs(way_x) + abs(way_y))
     for i in range(points.shape[0]):
         for j in range(points.shape[1]):
-            x, y = points[i, j, 0] - pose[0], points[i, j, 1] - pose[1]
+            x = points[i, j, 0] - pose[0]
+            y = points[i, j, 1] - pose[1]
             if abs(x) > reach or abs(y) > reach:
                 continue
             before = math.hypot(x, y)
@@ -105,7 +108,8 @@ def safe_share(
     """
     for number in range(len(shares)):
         share = float(shares[number])
-        x, y = share * way[0], share * way[1]
+        x = share * way[0]
+        y = share * way[1]
         if is_clear(pose, x, y, seen, deepest, farthest) and is_clear(
             pose, x, y, touched, deepest, farthest
         ):
@@ -123,7 +127,9 @@ def room_ahead(
     ``front`` is the largest angle of a front beam from straight ahead, rad, and ``margin`` is kept
     at the body's sides, m. ``beams`` is ``RobotSpec.beam_table``.
     """
-    has_front, has_reading, room = False, False, math.inf
+    has_front = False
+    has_reading = False
+    room = math.inf
     for beam in range(len(ranges)):
         angle = math.pi - (math.pi - beams[beam, ANGLE]) % (2.0 * math.pi)
         if abs(angle) > front:
@@ -166,20 +172,17 @@ def beams_on_robot(
         reached = ranges[beam]
         x, y = beam_end(pose, cos, sin, beams, beam, reached)
         distance = math.sqrt((x - other[0]) ** 2 + (y - other[1]) ** 2)
-        toward_x, toward_y = (
-            (x - other[0]) / max(distance, 1e-9),
-            (y - other[1]) / max(distance, 1e-9),
-        )
+        toward_x = (x - other[0]) / max(distance, 1e-9)
+        toward_y = (y - other[1]) / max(distance, 1e-9)
         # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x
         # and y.
-        turning, variance = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x, 0.0
+        turning = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x
+        variance = 0.0
         by = (toward_x, toward_y, turning, -toward_x, -toward_y)
         for i in range(5):
             for j in range(5):
-                row, column = (
-                    at + i if i < 3 else other_at + i - 3,
-                    at + j if j < 3 else other_at + j - 3,
-                )
+                row = at + i if i < 3 else other_at + i - 3
+                column = at + j if j < 3 else other_at + j - 3
                 variance += by[i] * covariance[row, column] * by[j]
         noise = sensor[0] ** 2 + (sensor[1] * reached**2) ** 2
         margin = sigmas * math.sqrt(max(variance, 0.0) + noise) + slack

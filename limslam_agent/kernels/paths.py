@@ -31,9 +31,11 @@ def rise(queue: Cells, places: Cells, cost: FloatArray, cell: int, place: int) -
         other = queue[above]
         if not comes_first(cost, cell, other):
             break
-        queue[place], places[other] = other, place
+        queue[place] = other
+        places[other] = place
         place = above
-    queue[place], places[cell] = cell, place
+    queue[place] = cell
+    places[cell] = place
 
 
 @compiled
@@ -49,9 +51,11 @@ def sink(queue: Cells, places: Cells, cost: FloatArray, size: int, cell: int) ->
         other = queue[below]
         if not comes_first(cost, other, cell):
             break
-        queue[place], places[other] = other, place
+        queue[place] = other
+        places[other] = place
         place = below
-    queue[place], places[cell] = cell, place
+    queue[place] = cell
+    places[cell] = place
 
 
 @lean_entry
@@ -85,18 +89,25 @@ def search_paths(
         They are set where a path has been found.
     """
     rows, columns = open_cells.shape
-    cost[start], nearest, size = 0.0, math.inf, 1
-    queue[0], places[start] = start, 0
+    cost[start] = 0.0
+    nearest = math.inf
+    size = 1
+    queue[0] = start
+    places[start] = 0
     while size and cost[queue[0]] <= nearest:
-        cell, size = queue[0], size - 1
+        cell = queue[0]
+        size = size - 1
         if size:
             sink(queue, places, cost, size, queue[size])
-        row, column, so_far = cell // columns, cell % columns, cost[cell]
+        row = cell // columns
+        column = cell % columns
+        so_far = cost[cell]
         if wanted.size and wanted[row, column]:
             nearest = min(nearest, so_far + (extra[row, column] if extra.size else 0.0))
         price = prices[row, column]
         for down, right, length in _NEIGHBOURS:
-            to_row, to_column = row + down, column + right
+            to_row = row + down
+            to_column = column + right
             if (
                 not (0 <= to_row < rows and 0 <= to_column < columns)
                 or not open_cells[to_row, to_column]
@@ -111,7 +122,8 @@ def search_paths(
                 continue
             size += cost[to] == math.inf
             place = size - 1 if cost[to] == math.inf else places[to]
-            cost[to], before[to] = reached, cell
+            cost[to] = reached
+            before[to] = cell
             rise(queue, places, cost, to, place)
     for place in range(size):
         # A path to a cell that was not visited may still become cheaper.

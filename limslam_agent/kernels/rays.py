@@ -27,13 +27,18 @@ from limslam_agent.kernels.tables import (
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-_OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than they were drawn
+# m: walls may be so much longer, or shorter, than they were drawn
+_OVER = 0.05
+_INSET = 0.08
 _STEEPEST = 0.25  # least cosine by which the spread of a distance to a wall is divided
 # m: a reading that differs by less than this and three standard deviations contradicts nothing
 _BESIDE = 0.15
 _ROUGH = 0.08  # m: standard deviation of the place of a wall that is known by occupied cells only
 _UNSEEN = 0.2  # m: a wall may lie so far beyond the first cell that is not free
-_ROUNDS, _FAR, _NEAR = 8, 0.30, 0.12  # of refinements: distances from walls, m, first and last
+# of refinements: distances from walls, m, first and last
+_ROUNDS = 8
+_FAR = 0.30
+_NEAR = 0.12
 _DAMPING = 1.0  # of a round of a refinement, in rays
 _START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)  # columns of a table of walls
 
@@ -42,9 +47,11 @@ _START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)  # columns of a t
 def fill_table(segments: FloatArray, table: FloatArray) -> None:
     """Set rows (k, 5) to walls (k, 4), m: start, m, unit vector along the wall, and length, m."""
     for wall in range(len(segments)):
-        x, y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
+        x = segments[wall, 2] - segments[wall, 0]
+        y = segments[wall, 3] - segments[wall, 1]
         length = math.hypot(x, y)
-        table[wall, _START_X], table[wall, _START_Y] = segments[wall, 0], segments[wall, 1]
+        table[wall, _START_X] = segments[wall, 0]
+        table[wall, _START_Y] = segments[wall, 1]
         table[wall, _LENGTH] = length
         table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = (
             x / max(length, 1e-9),
@@ -64,8 +71,11 @@ def crossing(
     the beam and the wall's normal.
     """
     x, y, ux, uy = ray
-    tx, ty = walls[wall, _TANGENT_X], walls[wall, _TANGENT_Y]
-    cosine, away_x, away_y = uy * tx - ux * ty, x - walls[wall, _START_X], y - walls[wall, _START_Y]
+    tx = walls[wall, _TANGENT_X]
+    ty = walls[wall, _TANGENT_Y]
+    cosine = uy * tx - ux * ty
+    away_x = x - walls[wall, _START_X]
+    away_y = y - walls[wall, _START_Y]
     distance = -1.0
     if abs(cosine) > GRAZING:
         distance = (away_x * ty - away_y * tx) / cosine
@@ -99,10 +109,8 @@ def free_length(
     x, y, ux, uy = ray
     for step in range(math.ceil(2.0 * longest / cell)):
         along = 0.5 * step * cell
-        row, column = (
-            math.floor((y + along * uy - low[1]) / cell),
-            math.floor((x + along * ux - low[0]) / cell),
-        )
+        row = math.floor((y + along * uy - low[1]) / cell)
+        column = math.floor((x + along * ux - low[0]) / cell)
         if not (0 <= row < values.shape[0] and 0 <= column < values.shape[1]):
             return along, 0
         if values[row, column] <= 0:
@@ -117,7 +125,8 @@ def is_inside(
     """Whether a point (m) lies in a free cell, and all cells up to a number of cells around it are
     free.
     """
-    row, column = math.floor((y - low[1]) / cell), math.floor((x - low[0]) / cell)
+    row = math.floor((y - low[1]) / cell)
+    column = math.floor((x - low[0]) / cell)
     if not (
         around <= row < values.shape[0] - around and around <= column < values.shape[1] - around
     ):
@@ -188,16 +197,21 @@ def weigh_ray(
 
     The distance is 0 if it does not. ``spread`` is that of :func:`explain`.
     """
-    longer, shorter, cosine_longer, cosine_shorter = math.inf, math.inf, 1.0, 1.0
+    longer = math.inf
+    shorter = math.inf
+    cosine_longer = 1.0
+    cosine_shorter = 1.0
     for wall in range(len(walls)):
         distance, beyond, cosine = crossing(ray, walls, wall)
         if distance < 0.0 or beyond >= _OVER:
             continue
         distance *= read_share(cosine, cone)
         if distance < longer:
-            longer, cosine_longer = distance, cosine
+            longer = distance
+            cosine_longer = cosine
         if distance < shorter and beyond < -_INSET:
-            shorter, cosine_shorter = distance, cosine
+            shorter = distance
+            cosine_shorter = cosine
     free, ends_at = free_length(ray, reach, values, low, cell)
     evidence, against, is_tested = explain(
         length, reach, longer, cosine_longer, free, ends_at, spread
@@ -206,7 +220,8 @@ def weigh_ray(
         other, against_other, _ = explain(
             length, reach, shorter, cosine_shorter, free, ends_at, spread
         )
-        evidence, against = max(evidence, other), against if against_other > 0.0 else 0.0
+        evidence = max(evidence, other)
+        against = against if against_other > 0.0 else 0.0
     if against > 0.0 and length < min(reach, shorter - _BESIDE):
         # It ended before the wall, if there is one. A wall that was not drawn yet may be near, or
         # beside a wide beam.
@@ -214,7 +229,8 @@ def weigh_ray(
         if not is_inside(
             ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around
         ):
-            evidence, against = max(evidence, 0.0), 0.0
+            evidence = max(evidence, 0.0)
+            against = 0.0
     return evidence, against, is_tested
 
 
@@ -225,12 +241,10 @@ def placed_ray(
     """Origin, m, and direction of a ray, moved by a pose at (x0, y0), m, with this cosine and sine
     of its heading.
     """
-    x, y, ux, uy = (
-        rays[number, RAY_X],
-        rays[number, RAY_Y],
-        rays[number, RAY_TO_X],
-        rays[number, RAY_TO_Y],
-    )
+    x = rays[number, RAY_X]
+    y = rays[number, RAY_Y]
+    ux = rays[number, RAY_TO_X]
+    uy = rays[number, RAY_TO_Y]
     return x0 + cos * x - sin * y, y0 + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
 
 
@@ -259,13 +273,13 @@ def weigh_poses(
     """
     fill_table(segments, walls)
     for number in range(len(poses)):
-        total, against, tested = 0.0, 0, 0
-        x, y, cos, sin = (
-            poses[number, 0],
-            poses[number, 1],
-            math.cos(poses[number, 2]),
-            math.sin(poses[number, 2]),
-        )
+        total = 0.0
+        against = 0
+        tested = 0
+        x = poses[number, 0]
+        y = poses[number, 1]
+        cos = math.cos(poses[number, 2])
+        sin = math.sin(poses[number, 2])
         for i in range(len(rays)):
             found, distance, is_tested = weigh_ray(
                 placed_ray(x, y, cos, sin, rays, i),
@@ -281,7 +295,9 @@ def weigh_poses(
             total += found
             against += distance > 0.0
             tested += is_tested
-        evidence[number], counts[number, 0], counts[number, 1] = total, against, tested
+        evidence[number] = total
+        counts[number, 0] = against
+        counts[number, 1] = tested
 
 
 @lean_entry
@@ -317,14 +333,22 @@ def nearest_offset(
 
     The normal is zero if there is no such wall.
     """
-    normal_x, normal_y, offset, least = 0.0, 0.0, 0.0, most**2
+    normal_x = 0.0
+    normal_y = 0.0
+    offset = 0.0
+    least = most**2
     for wall in range(len(walls)):
-        away_x, away_y = x - walls[wall, 0], y - walls[wall, 1]
-        tangent_x, tangent_y, length = walls[wall, 2], walls[wall, 3], walls[wall, 4]
+        away_x = x - walls[wall, 0]
+        away_y = y - walls[wall, 1]
+        tangent_x = walls[wall, 2]
+        tangent_y = walls[wall, 3]
+        length = walls[wall, 4]
         along = min(max(away_x * tangent_x + away_y * tangent_y, 0.0), length)
         squared = (away_x - along * tangent_x) ** 2 + (away_y - along * tangent_y) ** 2
         if squared < least:
-            least, normal_x, normal_y = squared, -tangent_y, tangent_x
+            least = squared
+            normal_x = -tangent_y
+            normal_y = tangent_x
             offset = -(normal_x * away_x + normal_y * away_y)
     return normal_x, normal_y, offset
 
@@ -344,18 +368,24 @@ def add_residuals(
 
     The lower triangle of the matrix counts.
     """
-    x0, y0, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
+    x0 = pose[0]
+    y0 = pose[1]
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     for number in range(len(rays)):
         from_x, from_y, to_x, to_y = placed_ray(x0, y0, cos, sin, rays, number)
         length = rays[number, RAY_LENGTH]
-        end_x, end_y = from_x + length * to_x, from_y + length * to_y
+        end_x = from_x + length * to_x
+        end_y = from_y + length * to_y
         normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
         if cone > 0.0 and (normal_x != 0.0 or normal_y != 0.0):
             # The middle of a wide beam meets the wall farther away than the beam reads.
             length /= read_share(normal_x * to_x + normal_y * to_y, cone)
-            end_x, end_y = from_x + length * to_x, from_y + length * to_y
+            end_x = from_x + length * to_x
+            end_y = from_y + length * to_y
             normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
-        x, y = end_x - x0, end_y - y0
+        x = end_x - x0
+        y = end_y - y0
         row = normal_x, normal_y, normal_y * x - normal_x * y
         for i in range(3):
             vector[i] += row[i] * offset
@@ -403,7 +433,8 @@ def fill_offsets(
     """Set offsets (n, 6) to the rows and columns of the end of each ray, turned about a point, and
     of its way there.
     """
-    cos, sin = math.cos(turn), math.sin(turn)
+    cos = math.cos(turn)
+    sin = math.sin(turn)
     for i in range(len(rays)):
         length = rays[i, RAY_LENGTH]
         inner = length if length >= rays[i, RAY_REACH] else max(length - _UNSEEN, 0.0)
@@ -419,10 +450,12 @@ def add_row(row: NDArray[np.float32], field: NDArray[np.float32], shift: int) ->
     """Add a row of a field, which begins ``shift`` cells before it, to a row; nothing where the
     field has ended.
     """
-    low, high = max(0, -shift), min(len(row), len(field) - shift)
+    low = max(0, -shift)
+    high = min(len(row), len(field) - shift)
     # With slices, the compiler knows that no index is negative, and adds many cells at once.
     if low < high:
-        into, added = row[low:high], field[low + shift : high + shift]
+        into = row[low:high]
+        added = field[low + shift : high + shift]
         for column in range(high - low):
             into[column] += added[column]
 
@@ -455,8 +488,10 @@ def scan_poses(
             row[:] = 0.0
             for i in range(len(rays)):
                 for point in range(0, 6, 2):
-                    down, right = offsets[i, point], offsets[i, point + 1]
-                    at, kind = place + (down >> 1), 1 if point > 0 else 0
+                    down = offsets[i, point]
+                    right = offsets[i, point + 1]
+                    at = place + (down >> 1)
+                    kind = 1 if point > 0 else 0
                     if 0 <= at < rows and (kind == 1 or rays[i, RAY_LENGTH] < rays[i, RAY_REACH]):
                         add_row(row, fields[kind, down & 1, right & 1, at], right >> 1)
 

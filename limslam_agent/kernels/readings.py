@@ -35,14 +35,19 @@ _LEAST_STD = 0.01  # m
 # How much a reading changes with the distance driven, and with the angle turned times the range:
 # standard deviations of two kinds of walls, those that face the beam and those at a grazing angle,
 # and the shares of both.
-_DRIVE, _SPIN, _SHARES = (1.0, 2.0), (0.7, 2.0), (0.75, 0.25)
+_DRIVE = (1.0, 2.0)
+_SPIN = (0.7, 2.0)
+_SHARES = (0.75, 0.25)
 # A beam that turns along a straight wall goes on as its last two readings say: from this angle on,
 # rad, and with this standard deviation, m and m for each metre and radian.
-_SWEEPS, _BENT = 0.05, (0.03, 0.2)
+_SWEEPS = 0.05
+_BENT = (0.03, 0.2)
 _ON_LINE = 0.6
 # A beam meets an edge with this likelihood in a step, and with so much more for each radian of the
 # turn.
-_EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
+_EDGES = 0.01
+_EDGES_PER_TURN = 0.4
+_FASTEST = 0.2
 _APPEARS = 0.04  # likelihood that a wall comes into reach in a step
 _LIMITS = -1.5, 4.5  # of a single reading
 
@@ -95,7 +100,8 @@ def compare_with_before(
     """
     for beam in range(len(ranges)):
         steady[TURN, beam] += turn
-        reading, before = ranges[beam], steady[READING, beam]
+        reading = ranges[beam]
+        before = steady[READING, beam]
         if math.isnan(reading):
             continue
         turned = min(max(steady[TURN, beam], -_LONGEST_TURN), _LONGEST_TURN)
@@ -138,7 +144,8 @@ def reading_evidence(
         return math.log(NOTHING)
     shorter = min(now, before)
     variance = std**2 + (growth * shorter**2) ** 2
-    edges, here = _EDGES + _EDGES_PER_TURN * min(turn, _FASTEST), 0.0
+    edges = _EDGES + _EDGES_PER_TURN * min(turn, _FASTEST)
+    here = 0.0
     for kind in range(len(_SHARES)):
         spread = math.sqrt(
             2.0 * variance
@@ -183,8 +190,11 @@ def weigh_changes(
             evidence[row, beam] = 0.0
             if not (usable[row + 2, beam] and usable[row + 1, beam]):
                 continue
-            reach, far = beams[beam, FARTHEST], beams[beam, TOO_FAR]
-            now, before, earlier = ranges[row + 2, beam], ranges[row + 1, beam], ranges[row, beam]
+            reach = beams[beam, FARTHEST]
+            far = beams[beam, TOO_FAR]
+            now = ranges[row + 2, beam]
+            before = ranges[row + 1, beam]
+            earlier = ranges[row, beam]
             found = reading_evidence(
                 (min(now, reach), min(before, reach), min(earlier, reach)),
                 (now >= far, before >= far, earlier >= far),
@@ -216,14 +226,15 @@ def count_misses(
     for beam in range(len(ranges)):
         if not measured[beam]:
             continue
-        before, between, reading = last[0, beam], last[1, beam], ranges[beam]
-        near, far, limit = (
-            beams[beam, TOO_NEAR],
-            beams[beam, TOO_FAR],
-            _WELL_WITHIN * beams[beam, FARTHEST],
-        )
+        before = last[0, beam]
+        between = last[1, beam]
+        reading = ranges[beam]
+        near = beams[beam, TOO_NEAR]
+        far = beams[beam, TOO_FAR]
+        limit = _WELL_WITHIN * beams[beam, FARTHEST]
         if near < before < limit and near < reading < limit and abs(before - reading) < _SAME_WALL:
             counts[0] += 1
             counts[1] += between >= far
         in_a_row[beam] = in_a_row[beam] + 1 if reading >= far else 0
-        last[0, beam], last[1, beam] = between, reading
+        last[0, beam] = between
+        last[1, beam] = reading

@@ -9,7 +9,8 @@ _SLIGHTLY_MORE = 1.0 + 1e-9
 @compiled
 def are_near(middles: FloatArray, first: int, second: int, reach: float) -> bool:
     """Whether two of the points (n, 2) are at most so far apart."""
-    x, y = middles[first, 0] - middles[second, 0], middles[first, 1] - middles[second, 1]
+    x = middles[first, 0] - middles[second, 0]
+    y = middles[first, 1] - middles[second, 1]
     return bool(x * x + y * y <= reach * reach)
 
 
@@ -71,7 +72,8 @@ def join_faces(
             if middles[i, 1] - middles[j, 1] > _SLIGHTLY_MORE * reach:
                 break
             if are_near(middles, i, j, reach) and cosine(normals, i, j) >= least:
-                first, second = stretch_of(stretches, i), stretch_of(stretches, j)
+                first = stretch_of(stretches, i)
+                second = stretch_of(stretches, j)
                 stretches[max(first, second)] = min(first, second)
     for i in range(len(middles)):
         stretches[i] = stretch_of(stretches, i)
@@ -97,8 +99,11 @@ def mark_drawn(
     for i in range(len(middles)):
         drawn[i] = False
         for wall in range(len(walls)):
-            x, y = middles[i, 0] - walls[wall, 0], middles[i, 1] - walls[wall, 1]
-            along_x, along_y, length = walls[wall, 2], walls[wall, 3], walls[wall, 4]
+            x = middles[i, 0] - walls[wall, 0]
+            y = middles[i, 1] - walls[wall, 1]
+            along_x = walls[wall, 2]
+            along_y = walls[wall, 3]
+            length = walls[wall, 4]
             looks = abs(normals[i, 0] * -along_y + normals[i, 1] * along_x)
             position = x * along_x + y * along_y
             is_beside = -past <= position <= length + past

@@ -34,14 +34,18 @@ from limslam_env.geometry import BoolArray, FloatArray
 
 # What a reading was before it is known: no reading of a wall, the first one of a wall, or one after
 # another reading of a wall, so that its first row is known.
-_NO_WALL, _FIRST, _CHANGED = 0.0, 1.0, 2.0
+_NO_WALL = 0.0
+_FIRST = 1.0
+_CHANGED = 2.0
 # m: how far a robot moves at least and at most while a reading that says something is repeated. One
 # that moves farther drives along a wall, with a sensor without noise.
-_LEAST_MOVED, _MOST_MOVED = 2e-3, 0.3
+_LEAST_MOVED = 2e-3
+_MOST_MOVED = 0.3
 _BY_CHANCE = 0.05
 # How many changes a beam needs at least, and by how many standard deviations more of its readings
 # must be repeated than chance explains: without other beams that repeat theirs, and with one.
-_FEWEST, _SIGMAS = (16, 6), (5.0, 3.0)
+_FEWEST = (16, 6)
+_SIGMAS = (5.0, 3.0)
 # A change is one by the resolution if it is smaller than this many times the smallest one.
 _ONE_STEP = 1.5
 # An equal reading of a sensor that is not exactly periodic is new after so many times the usual
@@ -54,11 +58,13 @@ def find_hold(repeats: FloatArray, beam: int) -> None:
     """Set for how many rows an equal reading of a beam counts as repeated, if the table of
     ``repeats`` (b, 13) says that the beam repeats its readings.
     """
-    known, others = repeats[beam], 0
+    known = repeats[beam]
+    others = 0
     for other in range(len(repeats)):
         if repeats[other, HOLD] > 0.0:
             others = 1
-    changes, repeated = known[WALL_CHANGES], known[LONG_CHANGES]
+    changes = known[WALL_CHANGES]
+    repeated = known[LONG_CHANGES]
     if changes < _FEWEST[others]:
         return
     single = known[SINGLE] / changes
@@ -73,7 +79,8 @@ def find_hold(repeats: FloatArray, beam: int) -> None:
 @compiled
 def _note_change(known: FloatArray, change: float) -> None:
     """Note that a reading of a wall has changed to another one by ``change``, m."""
-    rows, moved = known[ROWS], known[MOVED]
+    rows = known[ROWS]
+    moved = known[MOVED]
     if rows > 1.0 and not _LEAST_MOVED <= moved <= _MOST_MOVED:
         return
     if known[RESOLUTION] == 0.0 or change * _ONE_STEP < known[RESOLUTION]:

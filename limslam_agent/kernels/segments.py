@@ -78,23 +78,22 @@ def fit_segment(
     Returned are residuals (k,), in standard deviations, and the members (k,) that they belong to:
     those that do not graze the line. If there are too few, none, and nothing is filled.
     """
-    count, clear, chosen = (
-        0,
-        np.empty(len(members), dtype=np.int64),
-        np.empty(len(members), dtype=np.int64),
-    )
-    firsts, own_variances = np.empty(len(members), dtype=np.int64), np.empty(len(members))
-    d, theta = 0.0, line[1]
-    foot, expected = foot_of(points, members, line[0], theta), np.empty((len(members), 7))
+    count = 0
+    clear = np.empty(len(members), dtype=np.int64)
+    chosen = np.empty(len(members), dtype=np.int64)
+    firsts = np.empty(len(members), dtype=np.int64)
+    own_variances = np.empty(len(members))
+    d = 0.0
+    theta = line[1]
+    foot = foot_of(points, members, line[0], theta)
+    expected = np.empty((len(members), 7))
     predict_ranges(x, start, places, readings, members, (d, theta), foot, expected)
     for i in range(len(members)):
         if abs(expected[i, 6]) > GRAZING:
-            clear[count], chosen[count], firsts[count], own_variances[count] = (
-                i,
-                members[i],
-                begins[i],
-                variances[i],
-            )
+            clear[count] = i
+            chosen[count] = members[i]
+            firsts[count] = begins[i]
+            own_variances[count] = variances[i]
             for k in range(7):
                 expected[count, k] = expected[i, k]
             count += 1
@@ -102,21 +101,26 @@ def fit_segment(
         return np.empty(0), clear[:0]
     factor = covariance_of(block, firsts[:count], expected, own_variances)
     factorise(factor, count)
-    values, basis, left = np.empty((count, 3)), np.empty((count, 2)), np.empty(count)
+    values = np.empty((count, 3))
+    basis = np.empty((count, 2))
+    left = np.empty(count)
     for iteration in range(2):
         if iteration:
             predict_ranges(x, start, places, readings, chosen[:count], (d, theta), foot, expected)
         for i in range(count):
             values[i, 0] = readings[chosen[i], 3] - expected[i, 0]
-            values[i, 1], values[i, 2] = expected[i, 4], expected[i, 5]
+            values[i, 1] = expected[i, 4]
+            values[i, 2] = expected[i, 5]
         whiten(factor, values, count, 3)
         step, turn = solve_line(values, basis, count)
-        d, theta = d + step, theta + turn
+        d = d + step
+        theta = theta + turn
     leave_beside(values, 0, 1, basis, count)
     for i in range(count):
         left[i] = values[i, 0]
     place_along(x, start, places, readings, members, theta, foot, expected, clear[:count], along)
-    own, ordered = np.empty(count), np.empty(count)
+    own = np.empty(count)
+    ordered = np.empty(count)
     for i in range(count):
         own[i] = ordered[i] = along[clear[i]]
     sort_with(ordered, chosen, count)
@@ -145,12 +149,16 @@ def place_along(
     points would therefore show a bend at the end of every noisy wall; positions where the beams
     meet the line do not contain that error.
     """
-    cos, sin, done = math.cos(theta), math.sin(theta), 0
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    done = 0
     for i in range(len(members)):
         read = members[i]
-        at, reach = start + POSE * places[read], readings[read, 3]
+        at = start + POSE * places[read]
+        reach = readings[read, 3]
         if done < len(clear) and clear[done] == i:
-            reach, done = expected[done, 0], done + 1
+            reach = expected[done, 0]
+            done = done + 1
         hit_x, hit_y = end_of_beam(
             x, at, readings[read], ray_angle(readings[read], x[at + 2], theta), reach
         )
@@ -170,30 +178,36 @@ def describe(
     """Fill the first columns of a segment from the positions of all its readings, and of those that
     do not graze it.
     """
-    middle, spread = 0.0, 0.0
+    middle = 0.0
+    spread = 0.0
     for i in range(len(own)):
         middle += own[i]
     middle /= len(own)
     for i in range(len(own)):
         spread += (own[i] - middle) * (own[i] - middle)
     # The length leaves out the outermost reading at either end.
-    least, low, high, most = math.inf, math.inf, -math.inf, -math.inf
+    least = math.inf
+    low = math.inf
+    high = -math.inf
+    most = -math.inf
     for i in range(number):
-        low, high = min(low, max(least, along[i])), max(high, min(most, along[i]))
-        least, most = min(least, along[i]), max(most, along[i])
-    segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = (
-        theta,
-        foot[0],
-        foot[1],
-        high - low,
-    )
+        low = min(low, max(least, along[i]))
+        high = max(high, min(most, along[i]))
+        least = min(least, along[i])
+        most = max(most, along[i])
+    segment[THETA] = theta
+    segment[MIDDLE_X] = foot[0]
+    segment[MIDDLE_Y] = foot[1]
+    segment[EXTENT] = high - low
     segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_DIVISOR)
 
 
 @compiled
 def foot_of(points: FloatArray, members: IntArray, r: float, theta: float) -> tuple[float, float]:
     """Projection, m, of the points' mean on a line."""
-    cos, sin, along = math.cos(theta), math.sin(theta), 0.0
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    along = 0.0
     for i in range(len(members)):
         along += -sin * points[members[i], 0] + cos * points[members[i], 1]
     along /= len(members)
@@ -206,14 +220,18 @@ def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float
     orthonormal: ``basis``.
     """
     for i in range(count):
-        basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
+        basis[i, 0] = values[i, 1]
+        basis[i, 1] = values[i, 2]
     orthonormalise(values, 1, 3, count)
-    a, b, c = 0.0, 0.0, 0.0
+    a = 0.0
+    b = 0.0
+    c = 0.0
     for i in range(count):
         a += values[i, 1] * basis[i, 0]
         b += values[i, 1] * basis[i, 1]
         c += values[i, 2] * basis[i, 1]
-        basis[i, 0], basis[i, 1] = values[i, 1], values[i, 2]
+        basis[i, 0] = values[i, 1]
+        basis[i, 1] = values[i, 2]
     second = dot(values, 2, 0, count) / c
     return (dot(values, 1, 0, count) - b * second) / a, second
 
@@ -232,10 +250,12 @@ def bend(
     the best kink.
     """
     count = len(along)
-    reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
+    reach = ordered[count - 1] - ordered[0]
+    kinks = len(KINKS_AT)
     if count < FEWEST_FOR_SHAPE or reach <= 0.0:
         return 0.0
-    shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
+    shapes = np.empty((count, kinks + 3))
+    places = np.empty(kinks)
     for k in range(kinks):
         places[k] = quantile(ordered, count, KINKS_AT[k])
     for i in range(count):
@@ -262,16 +282,21 @@ def bend(
 @compiled
 def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[float, int, float]:
     """Largest chi-square that a kink gains, the index of that kink, and its angle, rad."""
-    most, best, angle = -1.0, 0, 0.0
+    most = -1.0
+    best = 0
+    angle = 0.0
     for k in range(kinks):
-        square, product = 0.0, 0.0
+        square = 0.0
+        product = 0.0
         for i in range(len(left)):
             square += shapes[i, k] * shapes[i, k]
             product += left[i] * shapes[i, k]
         square = max(square, LEAST_DIVISOR)
         gain = (product / square) ** 2 * square
         if gain > most:
-            most, best, angle = gain, k, product / square
+            most = gain
+            best = k
+            angle = product / square
     return most, best, angle
 
 
@@ -290,7 +315,8 @@ def mark_loose_ends(
     """Mark readings at either end that all lie on one side of the line: they belong to another
     object.
     """
-    count, shape = len(along), np.empty((len(along), 1))
+    count = len(along)
+    shape = np.empty((len(along), 1))
     for i in range(number):
         loose[i] = False
     for end in (ordered[0], ordered[count - 1]):
@@ -301,7 +327,8 @@ def mark_loose_ends(
             shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
         whiten(factor, shape, count, 1)
         leave_beside(shape, 0, 1, basis, count)
-        square, product = dot(shape, 0, 0, count), 0.0
+        square = dot(shape, 0, 0, count)
+        product = 0.0
         for i in range(count):
             product += left[i] * shape[i, 0]
         if inside < count and square > LEAST_DIVISOR and product * product > END_GATE * square:
@@ -326,7 +353,10 @@ def cut_part(
     Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is
     to be processed first.
     """
-    part, before, behind, firm = order[first : first + number].copy(), 0, 0, 0
+    part = order[first : first + number].copy()
+    before = 0
+    behind = 0
+    firm = 0
     if segment[BENT] > 0.0:
         for i in range(number):
             if along[i] < segment[BEND_AT] - AROUND_KINK:
@@ -336,13 +366,17 @@ def cut_part(
             if along[i] > segment[BEND_AT] + AROUND_KINK:
                 order[first + before + behind] = part[i]
                 behind += 1
-        rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
+        rest[0, 0] = first + before
+        rest[0, 1] = behind
+        rest[1, 0] = first
+        rest[1, 1] = before
         return 2
     for i in range(number):
         if not loose[i]:
             order[first + firm] = part[i]
             firm += 1
-    rest[0, 0], rest[0, 1] = first, firm
+    rest[0, 0] = first
+    rest[0, 1] = firm
     return 1 if firm < number else 0
 
 
@@ -386,20 +420,30 @@ def cut_at_bends(
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     block = dense_block(P, columns)
     size = len(members)
-    segments, ends = np.empty((2**DEEPEST, 7)), np.empty((2, 2))
-    owner, residuals = np.full(size, -1), np.full(size, math.inf)
-    along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
+    segments = np.empty((2**DEEPEST, 7))
+    ends = np.empty((2, 2))
+    owner = np.full(size, -1)
+    residuals = np.full(size, math.inf)
+    along = np.empty(size)
+    loose = np.empty(size, dtype=np.bool_)
+    order = np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
     # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and
     # their lines.
-    parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
-    parts[0, 0], parts[0, 1], parts[0, 2] = 0, size, DEEPEST
-    lines[0, 0], lines[0, 1] = line[0], line[1]
+    parts = np.empty((DEEPEST + 1, 3), dtype=np.int64)
+    lines = np.empty((DEEPEST + 1, 2))
+    parts[0, 0] = 0
+    parts[0, 1] = size
+    parts[0, 2] = DEEPEST
+    lines[0, 0] = line[0]
+    lines[0, 1] = line[1]
     count = 0
     waiting = int(size >= FEWEST)
     while waiting:
         waiting -= 1
-        first, number, depth = parts[waiting, 0], parts[waiting, 1], parts[waiting, 2]
+        first = parts[waiting, 0]
+        number = parts[waiting, 1]
+        depth = parts[waiting, 2]
         segment = segments[count]
         these = order[first : first + number]
         read = gathered(members, these)
@@ -423,11 +467,15 @@ def cut_at_bends(
             continue
         shorter = cut_part(order, first, number, segment, along, loose, rest) if depth else 0
         for k in range(shorter):
-            begin, length = rest[k, 0], rest[k, 1]
+            begin = rest[k, 0]
+            length = rest[k, 1]
             if length >= FEWEST:
                 r, theta = fit_line(points, gathered(members, order[begin : begin + length]), ends)
-                parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
-                lines[waiting, 0], lines[waiting, 1] = r, theta
+                parts[waiting, 0] = begin
+                parts[waiting, 1] = length
+                parts[waiting, 2] = depth - 1
+                lines[waiting, 0] = r
+                lines[waiting, 1] = theta
                 waiting += 1
         if not shorter:
             for i in range(number):

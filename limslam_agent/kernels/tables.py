@@ -81,7 +81,8 @@ FEWEST_FOR_SHAPE = 10
 KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Quantiles of the readings' positions at which a kink is tested for."""
 
-KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
+KINK_GATE = 12.0
+MIN_KINK = math.radians(8.0)
 """Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that
 kink, rad.
 """
@@ -89,12 +90,14 @@ kink, rad.
 CURVE_GATE = 14.0
 """Least gain in chi-square (three degrees of freedom) of a smooth curve."""
 
-AROUND_KINK, DEEPEST = 0.02, 4
+AROUND_KINK = 0.02
+DEEPEST = 4
 """Readings within this distance of a kink, m, are in neither half; a line is cut at most this many
 times in a row.
 """
 
-END_ZONE, END_GATE = 0.10, 6.0
+END_ZONE = 0.10
+END_GATE = 6.0
 """Points within this distance of an end, m, belong to another wall if chi-square falls by more than
 this without them.
 """
@@ -105,7 +108,8 @@ NOTHING = 0.45
 UNRELATED = 0.02
 """Likelihood that a reading has nothing to do with the map of the place where it was taken."""
 
-THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
+THROUGH_SIGMAS = 3.0
+THROUGH_SLACK = 0.05
 """A beam has passed through a wall if it is longer than the distance to the wall's line by this
 many standard deviations and by this length, m.
 """

@@ -38,7 +38,9 @@ def clear_readings(
 
     The line begins in the state at the index ``line``, and has an ``anchor``, m.
     """
-    chosen, size, out = np.arange(len(places)), 0, np.empty((len(places), 7))
+    chosen = np.arange(len(places))
+    size = 0
+    out = np.empty((len(places), 7))
     predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, out)
     for i in range(len(places)):
         if abs(out[i, 6]) > GRAZING and out[i, 0] > 0.0:
@@ -66,11 +68,10 @@ def involved(
     The clones come first, then the line that begins at the index ``line``; no line if that is
     negative.
     """
-    columns, size = np.empty(POSE * len(chosen) + 2, dtype=np.int64), 0
-    begins, column_of = (
-        np.empty(len(chosen), dtype=np.int64),
-        np.full(num_clones, -1, dtype=np.int64),
-    )
+    columns = np.empty(POSE * len(chosen) + 2, dtype=np.int64)
+    size = 0
+    begins = np.empty(len(chosen), dtype=np.int64)
+    column_of = np.full(num_clones, -1, dtype=np.int64)
     for i in range(len(chosen)):
         place = places[chosen[i]]
         if column_of[place] < 0:
@@ -80,7 +81,8 @@ def involved(
             size += POSE
         begins[i] = column_of[place]
     if line >= 0:
-        columns[size], columns[size + 1] = line, line + 1
+        columns[size] = line
+        columns[size + 1] = line + 1
         size += 2
     return columns[:size], begins
 
@@ -92,10 +94,13 @@ def covariance_of(
     """H P H^T + R of readings with variances (n,), the lower triangle; ``block`` is the part of P
     of ``involved``.
     """
-    count, size = len(begins), len(block)
-    S, row = np.empty((count, count)), np.empty(size)
+    count = len(begins)
+    size = len(block)
+    S = np.empty((count, count))
+    row = np.empty(size)
     # The block holds three rows for each clone, and two for the line if there is one.
-    line, with_line = size - 2, size % POSE > 0
+    line = size - 2
+    with_line = size % POSE > 0
     for i in range(count):
         at = begins[i]
         for j in range(size):
@@ -117,7 +122,9 @@ def covariance_of(
 @compiled
 def since(x: FloatArray, before: FloatArray, columns: IntArray, begin: int, H: FloatArray) -> float:
     """What the change of the state since ``before`` makes of a range, by its row of H."""
-    at, line, total = columns[begin], columns[-2], 0.0
+    at = columns[begin]
+    line = columns[-2]
+    total = 0.0
     for k in range(POSE):
         total += H[1 + k] * (x[at + k] - before[at + k])
     for k in range(2):
@@ -140,7 +147,8 @@ def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
     for i in range(len(begins)):
         for k in range(POSE):
             dense[i, begins[i] + k] = H[i, 1 + k]
-        dense[i, width - 2], dense[i, width - 1] = H[i, 4], H[i, 5]
+        dense[i, width - 2] = H[i, 4]
+        dense[i, width - 1] = H[i, 5]
     return dense
 
 
@@ -167,16 +175,21 @@ def compare_readings(
     if count < FEWEST_TO_COMPARE:
         return math.inf
     columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
-    H, values = np.empty((count, 7)), np.empty((count, 3))
+    H = np.empty((count, 7))
+    values = np.empty((count, 3))
     predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, H)
     S = covariance_of(dense_block(P, columns), begins, H, gathered(variances, chosen))
     for i in range(count):
         values[i, 0] = readings[chosen[i], 3] - H[i, 0]
-        values[i, 1], values[i, 2] = H[i, 4], H[i, 5]
+        values[i, 1] = H[i, 4]
+        values[i, 2] = H[i, 5]
     factorise(S, count)
     whiten(S, values, count, 3)
-    a, b, c = dot(values, 1, 1, count), dot(values, 1, 2, count), dot(values, 2, 2, count)
-    along, across = dot(values, 0, 1, count), dot(values, 0, 2, count)
+    a = dot(values, 1, 1, count)
+    b = dot(values, 1, 2, count)
+    c = dot(values, 2, 2, count)
+    along = dot(values, 0, 1, count)
+    across = dot(values, 0, 2, count)
     return (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
 
 
@@ -194,10 +207,15 @@ def set_gained(
     """Set H P (m, size) from those rows of P for which H is not zero, and the lower triangle of S =
     H P H^T + R. What all readings share by a curvature of their wall is a part of R.
     """
-    line, bent = len(rows) - 2, 0.5 * bend * H[:, 5] ** 2 / H[:, 4]
+    line = len(rows) - 2
+    bent = 0.5 * bend * H[:, 5] ** 2 / H[:, 4]
     for i in range(len(begins)):
         at = begins[i]
-        a, b, c, d, e = H[i, 1], H[i, 2], H[i, 3], H[i, 4], H[i, 5]
+        a = H[i, 1]
+        b = H[i, 2]
+        c = H[i, 3]
+        d = H[i, 4]
+        e = H[i, 5]
         for j in range(rows.shape[1]):
             HP[i, j] = (
                 a * rows[at, j]
@@ -207,7 +225,8 @@ def set_gained(
                 + e * rows[line + 1, j]
             )
         for m in range(i + 1):
-            to, place = columns[line], columns[begins[m]]
+            to = columns[line]
+            place = columns[begins[m]]
             S[i, m] = (
                 HP[i, place] * H[m, 1]
                 + HP[i, place + 1] * H[m, 2]
@@ -257,19 +276,25 @@ def iterate(
     change
         What is still to be added to the state (size,).
     """
-    count, first, start = len(chosen), begins_of[1] + 2 * index, begins_of[2]
-    anchor, before = (anchors[index, 0], anchors[index, 1]), x[:size].copy()
-    moved, at_first, pose = np.zeros((size, POSE)), np.empty((size, POSE)), np.empty((POSE, size))
+    count = len(chosen)
+    first = begins_of[1] + 2 * index
+    start = begins_of[2]
+    anchor = (anchors[index, 0], anchors[index, 1])
+    before = x[:size].copy()
+    moved = np.zeros((size, POSE))
+    at_first = np.empty((size, POSE))
+    pose = np.empty((POSE, size))
     fill_transport(x, size, begins_of, anchors, num_lines, at_first)
     rows = dense_rows(P, size, begins_of[0], columns)
-    H, HP, shifted, further = (
-        np.empty((count, 7)),
-        np.empty((count, size)),
-        rows,
-        np.empty(rows.shape),
-    )
-    change, scaled, S = np.zeros(size), variances.copy(), np.empty((count, count))
-    off, solution = np.empty(count), np.empty(count)
+    H = np.empty((count, 7))
+    HP = np.empty((count, size))
+    shifted = rows
+    further = np.empty(rows.shape)
+    change = np.zeros(size)
+    scaled = variances.copy()
+    S = np.empty((count, count))
+    off = np.empty(count)
+    solution = np.empty(count)
     for iteration in range(iterations):
         if iteration:
             shifted = further
@@ -328,7 +353,8 @@ def update_by_readings(
     H (m, k) for states (k,) and these states, factor, W and innovation of :func:`iterate`, and the
     indices (m,) of the readings that are used.
     """
-    line, start = begins_of[1] + 2 * index, begins_of[2]
+    line = begins_of[1] + 2 * index
+    start = begins_of[2]
     chosen = clear_readings(
         x, start, places, readings, line, (anchors[index, 0], anchors[index, 1])
     )

@@ -44,10 +44,14 @@ class Firmware:
     """
 
     def __init__(self, hello: Hello) -> None:
-        self.hello, self.has_host, self.awaits_answer = hello, False, False
+        self.hello = hello
+        self.has_host = False
+        self.awaits_answer = False
         self._seq = self._ack = self._heard = 0
         self._left = self._right = 0
-        self._is_stopped, self._owes_hello, self._next_hello = False, True, 0
+        self._is_stopped = False
+        self._owes_hello = True
+        self._next_hello = 0
 
     def hear(self, line: bytes, now: int) -> bool:
         """Take a line of the host at the time ``now``, ms. Whether it was a command."""
@@ -60,7 +64,8 @@ class Firmware:
         if isinstance(message, Greeting):
             self._left = self._right = 0
             self.has_host = self._owes_hello = True
-            self._ack, self._heard = message.seq, now
+            self._ack = message.seq
+            self._heard = now
             return True
         is_new = self.has_host and difference(message.seq, self._ack) > 0
         if isinstance(message, Stop):
@@ -70,9 +75,12 @@ class Firmware:
         ):
             self.awaits_answer = False
         if is_new:
-            self._ack, self._heard = message.seq, now
+            self._ack = message.seq
+            self._heard = now
             if isinstance(message, Speeds):
-                self._left, self._right, self._is_stopped = message.left, message.right, False
+                self._left = message.left
+                self._right = message.right
+                self._is_stopped = False
         return True
 
     def speeds(self, now: int) -> tuple[int, int]:
@@ -97,7 +105,8 @@ class Firmware:
         """The lines to send at the time ``now``, ms, once in each period."""
         lines = []
         if self._owes_hello or (not self.has_host and difference(now, self._next_hello) >= 0):
-            self._owes_hello, self._next_hello = False, (now + HELLO_EVERY) % _SPAN
+            self._owes_hello = False
+            self._next_hello = (now + HELLO_EVERY) % _SPAN
             lines.append(encode(self.hello))
         if self.has_host:
             left, right = (difference(each % _SPAN, 0) for each in ticks)

@@ -25,7 +25,8 @@ def write_session(folder: Path, session: Session, title: str, reason: str) -> di
 def session_lines(result: dict[str, Any]) -> list[str]:
     """A session in a few lines of text, from its ``result.json``."""
     metrics = result["metrics"]
-    period, delay = metrics["period_s"], metrics["loop_delay_s"]
+    period = metrics["period_s"]
+    delay = metrics["loop_delay_s"]
     times = [
         f"{words} {1e3 * seconds:.0f} ms"
         for words, seconds in (("period", period), ("delay", delay))

@@ -40,7 +40,9 @@ class Connection(ABC):
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
-        self.clock, self.bad_lines, self._seq = clock, 0, 0
+        self.clock = clock
+        self.bad_lines = 0
+        self._seq = 0
 
     @property
     def late(self) -> int:
@@ -78,7 +80,8 @@ class Link(Connection):
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(clock)
-        self.transport, self._greeted = transport, -math.inf
+        self.transport = transport
+        self._greeted = -math.inf
 
     def receive(self, timeout: float) -> list[Message]:
         """The messages that have arrived. Lines that are no messages are counted."""

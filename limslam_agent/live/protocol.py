@@ -30,10 +30,8 @@ NO_READING = "-"
 """Stands in place of a range where a beam has no new reading."""
 
 _SPAN = 1 << 32
-_NAME, _NUMBER = (
-    re.compile(r"[A-Za-z0-9_.-]{1,24}", re.ASCII),
-    re.compile(r"-?[0-9]{1,10}", re.ASCII),
-)
+_NAME = re.compile(r"[A-Za-z0-9_.-]{1,24}", re.ASCII)
+_NUMBER = re.compile(r"-?[0-9]{1,10}", re.ASCII)
 
 _U8 = Annotated[int, Bounds(0, 255)]
 _U32 = Annotated[int, Bounds(0, _SPAN - 1)]

@@ -114,7 +114,8 @@ class Recording:
             self.late += 1
         else:
             # Counters of 32 bits are compared with the newest ones, so that they may overflow.
-            self.newest, self._origin = row, (packet, row)
+            self.newest = row
+            self._origin = (packet, row)
         return row
 
     def observation(self, row: Row, before: Row | None) -> Observation:
@@ -141,10 +142,8 @@ class Recording:
         """
         rows = self._sorted()
         travel = np.array([(row.left, row.right) for row in rows]).reshape(-1, 2)
-        times, ranges = (
-            np.array([row.time - rows[0].time for row in rows]),
-            np.array([row.ranges for row in rows]),
-        )
+        times = np.array([row.time - rows[0].time for row in rows])
+        ranges = np.array([row.ranges for row in rows])
         wheels = np.diff(travel, axis=0, prepend=travel[:1])
         yaw = np.array([row.yaw for row in rows])
         return RecordedLog(

@@ -31,7 +31,8 @@ from limslam_env.interface import RobotSpec
 OUT_OF_TIME = "time: the longest time of the session is over"
 BY_HAND = "stopped by hand"
 
-HEARTBEAT_AFTER, HOLD = 1.5, 3.0
+HEARTBEAT_AFTER = 1.5
+HOLD = 3.0
 """Periods without telemetry after which the host sends heartbeats, and after which it stops the
 wheels.
 """
@@ -93,9 +94,13 @@ class Session:
         watch: Callable[["Session"], None] = lambda _: None,
         obey: Callable[["Session"], None] = lambda _: None,
     ) -> None:
-        self.link, self.agent, self.recording = link, agent, recording
+        self.link = link
+        self.agent = agent
+        self.recording = recording
         self.reconnections = self.watchdog_stops = 0
-        self._hello, self._watch, self._obey = hello, watch, obey
+        self._hello = hello
+        self._watch = watch
+        self._obey = obey
         agent.mapper.longest_travel = (
             math.inf
         )  # the recording knows the times, and checks the travel
@@ -145,7 +150,8 @@ class Session:
     @property
     def figures(self) -> dict[str, float | int | None]:
         """Figures of the connection, for ``result.json``."""
-        period, delay = self.recording.period, self.delay
+        period = self.recording.period
+        delay = self.delay
         return {
             "packets": len(self.recording),
             "packets_lost": self.recording.lost,
@@ -193,7 +199,8 @@ class Session:
 
     def _take(self, messages: list[Message]) -> list[Row]:
         """Record telemetry. The rows that are later than all before them, in order."""
-        rows, packets = list[Row](), list[Telemetry]()
+        rows = list[Row]()
+        packets = list[Telemetry]()
         for message in messages:
             if isinstance(message, Telemetry):
                 packets.append(message)
@@ -270,7 +277,8 @@ class Session:
         """Without telemetry, hold the speeds for a short time, then stop; and look for the
         robot.
         """
-        now, period = self.link.clock(), self.recording.robot.control_period
+        now = self.link.clock()
+        period = self.recording.robot.control_period
         silence = now - self._last_new
         if silence > SILENT_AFTER or self._observed is None:
             self._is_connected = False

@@ -89,7 +89,8 @@ class Seat:
     def __init__(self, token: str | None, report: Callable[[str], None]) -> None:
         if token is not None and not is_name(token):
             raise ValueError(f"the token {token!r} is not {NAME_RULE}")
-        self._token, self._report = token, report
+        self._token = token
+        self._report = report
         self._name: str | None = None
         self._silence = 0.0  # s, that the host has listened without hearing the robot
         self._refusals = set[str]()
@@ -122,7 +123,8 @@ class Seat:
         elif self.robot not in {None, sender} and self._silence <= SILENT_AFTER:
             self._refuse(hello, sender, "a robot of this name is heard from another address")
         else:
-            self._name, self.robot = hello.name, sender
+            self._name = hello.name
+            self.robot = sender
 
     def _refuse(self, hello: Hello, sender: Address, why: str) -> None:
         if sender == self.robot:
@@ -224,8 +226,11 @@ class SerialTransport:
             import serial
         except ImportError:
             raise ValueError("a serial port needs pyserial: pip install 'limslam[live]'") from None
-        self._serial, self._name, self._baud = serial, port, baud
-        self._lines, self._next_attempt = LineBuffer(), 0.0
+        self._serial = serial
+        self._name = port
+        self._baud = baud
+        self._lines = LineBuffer()
+        self._next_attempt = 0.0
         try:
             self._port: serial.Serial | None = self._opened()
         except (OSError, ValueError) as error:
@@ -257,7 +262,8 @@ class SerialTransport:
         if self._port is not None:
             with suppress(OSError):
                 self._port.close()
-        self._port, self._lines = None, LineBuffer()
+        self._port = None
+        self._lines = LineBuffer()
 
     def _opened(self) -> "serial.Serial":
         return self._serial.Serial(self._name, self._baud, timeout=0.0, write_timeout=0.2)

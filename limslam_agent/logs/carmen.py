@@ -44,9 +44,14 @@ from limslam_env.messages import counted
 _SICK_TOP_COUNTS = (8183.0, 8191.5)
 _SICK_UNITS = (0.001, 0.01)
 
-_FIRST_TIMES, _LONGEST_STEP = 10, 60.0  # s between the first times of a clock that begins below 0
+# s between the first times of a clock that begins below 0
+_FIRST_TIMES = 10
+_LONGEST_STEP = 60.0
 
-_FLASER, _ROBOTLASER, _RAWLASER, _ODOM = b"FLASER", b"ROBOTLASER1", b"RAWLASER1", b"ODOM"
+_FLASER = b"FLASER"
+_ROBOTLASER = b"ROBOTLASER1"
+_RAWLASER = b"RAWLASER1"
+_ODOM = b"ODOM"
 _KINDS = _FLASER, _ROBOTLASER, _RAWLASER, _ODOM
 _ODOM_FIELDS = 10
 _LASER_FIELDS = 7  # between the kind of a line and its number of beams, where the line describes it
@@ -55,7 +60,8 @@ _TAILS = {_FLASER: (9, 6), _ROBOTLASER: (14, 11), _RAWLASER: (3, 0)}
 # Lines of these kinds say nothing that a map needs.
 _HARMLESS = {b"PARAM", b"SYNC", b"TRUEPOS", b"MARKER", b"MESSAGE"}
 _KIND = re.compile(rb"[A-Z][A-Z0-9_]{1,30}")
-_MOST_KINDS, _MOST_NAMED = 100, 6
+_MOST_KINDS = 100
+_MOST_NAMED = 6
 _SAME_BEAM_DEG = 0.5
 # If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the
 # mount of the laser but the result of a mapping program.
@@ -209,7 +215,8 @@ class _Events:
         columns = choose_beams(angles, self.beams_deg)
         found = _Layout(columns, angles[columns], farthest)
         if self.first is None:
-            self.first, self._count = found, count
+            self.first = found
+            self._count = count
         elif np.abs(found.angles - self.first.angles).max() > _SAME_BEAM_DEG:
             raise ValueError(f"a scan of {count} beams after scans of {self._count}")
         return found
@@ -244,7 +251,8 @@ def _described(count: int, laser: Sequence[bytes]) -> tuple[FloatArray, float]:
 
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
     assert events.first is not None  # noqa: S101 (there is a scan)
-    time, kinds = np.array(events.time), np.frombuffer(events.kinds, dtype=np.uint8)
+    time = np.array(events.time)
+    kinds = np.frombuffer(events.kinds, dtype=np.uint8)
     has_scan = kinds != _KINDS.index(_ODOM)
     is_raw = kinds == _KINDS.index(_RAWLASER)
     shifted = -float(time[0]) if _begins_below_zero(time) else 0.0
@@ -265,7 +273,8 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
         mount = _laser_mount(odometry[is_posed], laser[is_posed])
     else:
         kept, odometry, gaps, found = _posed(time, odometry, ranges, is_raw, kept)
-        mount, notes = np.zeros(3), notes + found
+        mount = np.zeros(3)
+        notes = notes + found
     if not has_scan[kept].any():
         raise ValueError("has no scan whose time is not negative")
     notes += (events.others,) if events.others else ()
@@ -323,9 +332,11 @@ def _begins_below_zero(time: FloatArray) -> bool:
 
 def _without_codes(ranges: FloatArray) -> FloatArray:
     """Ranges (k, n_beams), m, with infinity in place of the laser's codes for "no return"."""
-    seen, largest = ranges.copy(), float(ranges.max(where=np.isfinite(ranges), initial=0.0))
+    seen = ranges.copy()
+    largest = float(ranges.max(where=np.isfinite(ranges), initial=0.0))
     for unit in _SICK_UNITS:
-        lowest, highest = _SICK_TOP_COUNTS[0] * unit, _SICK_TOP_COUNTS[1] * unit
+        lowest = _SICK_TOP_COUNTS[0] * unit
+        highest = _SICK_TOP_COUNTS[1] * unit
         if lowest <= largest <= highest:
             seen[ranges >= lowest] = np.inf
     return seen
@@ -348,6 +359,7 @@ def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:
 
 
 def _beams(angles: FloatArray, mount: FloatArray, max_range: float) -> list[SensorSpec]:
-    x, y = float(mount[0]), float(mount[1])
+    x = float(mount[0])
+    y = float(mount[1])
     turned = [float(se2.wrap_angle(angle + mount[2])) for angle in angles]
     return [SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned]

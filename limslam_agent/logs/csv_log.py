@@ -62,7 +62,8 @@ from limslam_env.messages import counted
 _SPACINGS = {"ms": (10.0, 2e3), "us": (2e3, 2e6), "ns": (2e6, 1e10)}
 _MOST_IGNORED = 12  # columns in a note
 # No robot's pose moves by more than this between two rows, m and m/s.
-_FARTHEST_STEP, _FASTEST = 1.0, 20.0
+_FARTHEST_STEP = 1.0
+_FASTEST = 20.0
 _WORDS = {
     Role.TIME: "time",
     Role.LEFT: "left wheel",
@@ -135,7 +136,8 @@ class _Table:
         options: TableOptions,
     ) -> "_Table":
         """A table without rows. Raises a ValueError if its columns cannot be used."""
-        robot, chosen = options.robot, header.is_chosen
+        robot = options.robot
+        chosen = header.is_chosen
         layout = layout_of(header.columns, has_robot=robot is not None, is_chosen=chosen)
         if max_range is not None:
             check_max_range(max_range)
@@ -183,7 +185,9 @@ class _Table:
         numbers[:, 0] = _continued_clock(numbers[:, 0] * scale(unit), scale(unit))
         for impossible in (_impossible_times, self._impossible_moves):
             kept = self._without(impossible(numbers), lines)
-            numbers, has_scan, lines = numbers[kept], has_scan[kept], lines[kept]
+            numbers = numbers[kept]
+            has_scan = has_scan[kept]
+            lines = lines[kept]
         time = numbers[:, 0]
         _check_clock(time, lines)
         odometry = self._odometry(numbers)
@@ -250,7 +254,8 @@ class _Table:
         """Rows (n,) of numbers (n, k) with a motion that no robot makes, after which it goes on as
         before.
         """
-        odometry, time = self._odometry(numbers), numbers[:, 0]
+        odometry = self._odometry(numbers)
+        time = numbers[:, 0]
         lasted = np.maximum(np.diff(time, prepend=time[:1]), median_spacing(time))
         if odometry.poses is not None:
             moves = np.diff(odometry.poses[:, :2], axis=0, prepend=odometry.poses[:1, :2])
@@ -326,7 +331,9 @@ def _impossible_times(numbers: FloatArray) -> BoolArray:
     is_impossible = np.zeros(len(time), dtype=np.bool_)
     if len(time) < 3:
         return is_impossible
-    before, here, after = time[:-2], time[1:-1], time[2:]
+    before = time[:-2]
+    here = time[1:-1]
+    after = time[2:]
     follow = (after >= before) & (after - before <= LONGEST_PAUSE)
     is_outside = (here < before - LARGEST_STEP_BACK) | (here > after + LARGEST_STEP_BACK)
     is_impossible[1:-1] = follow & is_outside
@@ -339,7 +346,8 @@ def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
     """
     turn = CLOCK_COUNTS * unit
     continued = time.copy()
-    turns, before = 0.0, float(time[0])
+    turns = 0.0
+    before = float(time[0])
     for row, seconds in enumerate(time.tolist()):
         late = turns
         if seconds < before - LARGEST_STEP_BACK and 0.0 <= seconds - before + turn < LONGEST_PAUSE:

@@ -20,7 +20,8 @@ _LARGEST_FACTOR = 2.5
 _LEAST_CORRELATION = 0.5
 # rad: by the wheels, after which a heading that was measured differs from them by more than this,
 # which is more than headings are rounded by
-_TURNED_TO_DIFFER, _NO_DIFFERENCE = 20.0, 0.03
+_TURNED_TO_DIFFER = 20.0
+_NO_DIFFERENCE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +98,9 @@ def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | N
         first, *others = choices
         is_wide = bool(others) and float(np.ptp(np.nan_to_num(choices[first]))) > FULL_TURN
         return (others[0] if is_wide else first), 1.0
-    best, factor, correlation = None, 1.0, _LEAST_CORRELATION
+    best = None
+    factor = 1.0
+    correlation = _LEAST_CORRELATION
     by_wheels = np.cumsum(turns)
     for unit, heading in choices.items():
         is_there = np.isfinite(heading)
@@ -109,7 +112,9 @@ def _best(choices: Mapping[str, FloatArray], turns: FloatArray) -> tuple[str | N
         slope = together / max(float(expected @ expected), 1e-12)
         found = abs(together) / max(float(np.linalg.norm(turned) * np.linalg.norm(expected)), 1e-12)
         if found >= correlation and 1.0 / _LARGEST_FACTOR <= abs(slope) <= _LARGEST_FACTOR:
-            best, factor, correlation = unit, slope, found
+            best = unit
+            factor = slope
+            correlation = found
     return best, factor
 
 

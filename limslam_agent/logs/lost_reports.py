@@ -15,7 +15,9 @@ from limslam_env.interface import RobotSpec
 
 # A robot that stands for up to so many rows, and before and after them drives at nearly the same
 # speed, cannot have done so, if it drives by more than so many ticks of its encoders in a row.
-_SHORT, _EQUAL, _TICKS = 5, 0.25, 3.0
+_SHORT = 5
+_EQUAL = 0.25
+_TICKS = 3.0
 _FEWEST = 5  # such reports of 0, and most of the short stops, show that reports are lost
 
 
@@ -39,15 +41,20 @@ def across(
     Reports of ``wheels`` (t, 2), at times (t,), s, that are missing are NaN, or missing with their
     rows before ``gaps``.
     """
-    missing, at = np.zeros(len(wheels), dtype=int), np.array(gaps, dtype=int)
+    missing = np.zeros(len(wheels), dtype=int)
+    at = np.array(gaps, dtype=int)
     missing[at] = np.rint((time[at] - time[at - 1]) / robot.control_period) - 1
     wheels = np.where(_are_impossible(wheels)[:, None], np.nan, wheels)
     is_known = np.asarray(np.isfinite(wheels).all(axis=1))
-    own, counts = np.where(is_known[:, None], wheels, 0.0), missing + ~is_known
-    travel, variances, lost = own.copy(), np.zeros(own.shape), list[int]()
+    own = np.where(is_known[:, None], wheels, 0.0)
+    counts = missing + ~is_known
+    travel = own.copy()
+    variances = np.zeros(own.shape)
+    lost = list[int]()
     for before, after in pairwise([0, *np.flatnonzero(is_known[1:]) + 1]):
         rows = slice(before + 1, after + 1)
-        steps, change = int(counts[rows].sum()), own[after] - own[before]
+        steps = int(counts[rows].sum())
+        change = own[after] - own[before]
         if steps:
             lost.append(steps)
             travel[rows] += counts[rows, None] * 0.5 * (own[before] + own[after])
@@ -70,8 +77,10 @@ def across(
 def _are_impossible(wheels: FloatArray) -> BoolArray:
     """Which reports (t,) of travel (t, 2) are 0 although the wheels cannot have stood."""
     rows = np.flatnonzero(wheels.any(axis=1))
-    sizes, found = np.abs(wheels[rows]), np.zeros(len(wheels), dtype=np.bool_)
-    gaps, speeds = np.diff(rows) - 1, np.maximum(sizes[:-1], sizes[1:]).max(axis=1)
+    sizes = np.abs(wheels[rows])
+    found = np.zeros(len(wheels), dtype=np.bool_)
+    gaps = np.diff(rows) - 1
+    speeds = np.maximum(sizes[:-1], sizes[1:]).max(axis=1)
     tick = sizes[sizes > 0.0].min(initial=np.inf)
     short = np.flatnonzero((gaps > 0) & (gaps <= _SHORT) & (speeds > _TICKS * tick))
     changes = np.abs(np.diff(wheels[rows], axis=0)).max(axis=1)

@@ -18,22 +18,26 @@ from limslam_env.messages import counted
 
 # A motion is a jump if it is so many times as fast as usual, and longer than this (m, rad). On
 # ``csail``, up to 3.8 times the usual distance and 12 times the usual turn lie between two scans.
-_TIMES_FASTER, _LEAST_JUMP = np.array([6.0, 10.0]), np.array([0.25, 0.5 * math.pi])
+_TIMES_FASTER = np.array([6.0, 10.0])
+_LEAST_JUMP = np.array([0.25, 0.5 * math.pi])
 _USUAL = 0.75  # quantile of the rates of a robot that drives that counts as usual
 _FEWEST = 20  # motions, without which nothing is known to be usual
 _ROUNDING = 1e-6  # m; a robot that stands moves by less
 _NEAR = 3  # motions before and after one that show how fast the robot is at that time
 _LONGEST_EXCURSION = 1.0  # s; poses that are off the path for longer are in another frame
 # A gap between two events is so many times as long as usual, and longer than this, s
-_TIMES_LONGER, _LEAST_GAP = 5.0, 1.0
+_TIMES_LONGER = 5.0
+_LEAST_GAP = 1.0
 # In a gap, odometry has stopped counting if the robot drove before and after it, and reports less
 # than this share of the distance.
 _COUNTED = 0.2
 # A robot stands where its pose changes by less (m, m, rad), and its readings by less (m).
-_STANDING, _SAME_RANGE = np.array([0.01, 0.01, math.radians(1.0)]), 0.1
+_STANDING = np.array([0.01, 0.01, math.radians(1.0)])
+_SAME_RANGE = 0.1
 # Standard deviations of the motion across a break, beside what the robot can do in its time, and
 # the largest ones: m, rad
-_STDS, _MOST_STDS = np.array([1.0, 0.5]), np.array([30.0, math.pi])
+_STDS = np.array([1.0, 0.5])
+_MOST_STDS = np.array([30.0, math.pi])
 _MOST_NAMED = 5  # breaks in a line
 
 
@@ -92,7 +96,8 @@ class _Motions:
     @classmethod
     def of(cls, time: FloatArray, poses: FloatArray) -> "_Motions | None":
         """The motions of poses (n, 3); None if they are too few to show what is usual."""
-        moves, seconds = se2.between(poses[:-1], poses[1:]), np.diff(time)
+        moves = se2.between(poses[:-1], poses[1:])
+        seconds = np.diff(time)
         sizes = np.column_stack((np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])))
         driving = sizes[:, 0] > _ROUNDING
         if np.count_nonzero(driving) < _FEWEST or not (seconds > 0.0).any():
@@ -173,7 +178,8 @@ def without_excursions(time: FloatArray, poses: FloatArray) -> tuple[FloatArray,
     """
     motions = _Motions.of(time, poses)
     jumps = [] if motions is None else motions.jumps()
-    off, used = np.zeros(len(time), dtype=np.bool_), set[int]()
+    off = np.zeros(len(time), dtype=np.bool_)
+    used = set[int]()
     # The shortest excursions first: what lies between two of them is the path.
     for first, last in sorted(pairwise(jumps), key=lambda ends: ends[1] - ends[0]):
         seconds = float(time[last + 1] - time[first])
@@ -255,7 +261,8 @@ class OdometryStream:
 
         Some drivers send no pose while the robot stands. Then neither pose nor readings change.
         """
-        steps, motions = np.diff(self.times), _Motions.of(self.times, self.poses)
+        steps = np.diff(self.times)
+        motions = _Motions.of(self.times, self.poses)
         period = float(np.median(steps[steps > 0.0])) if (steps > 0.0).any() else math.inf
         long = np.flatnonzero(steps > max(_LEAST_GAP, _TIMES_LONGER * period))
         gaps = [step for step in long.tolist() if self._may_move_in(step, scan_times, ranges)]

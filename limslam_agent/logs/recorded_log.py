@@ -35,7 +35,8 @@ LONGEST_LINE = 1 << 20
 MOST_BEAMS = 4096
 """Most beams of a scan or columns of a table."""
 
-MOST_UNPACKED, LARGEST_RATIO = 16_000_000, 16
+MOST_UNPACKED = 16_000_000
+LARGEST_RATIO = 16
 """Bytes of a gzip stream that are always unpacked, and how many times the size of the file may be
 unpacked. A file of one megabyte could become one of a gigabyte.
 """
@@ -149,7 +150,8 @@ class RecordedLog:
     readings_notes: tuple[str, ...] = field(init=False)
 
     def __post_init__(self) -> None:
-        count, beams = self.time.size, len(self.robot.beams)
+        count = self.time.size
+        beams = len(self.robot.beams)
         if count == 0:
             raise ValueError("holds no events")
         if (self.odometry is None) == (self.wheels is None):
@@ -294,7 +296,8 @@ def read_npz(path: FilePath) -> RecordedLog:
         arrays = _load_arrays(path)
         robot = _robot_of(arrays["robot"])
         check_beams(len(robot.beams))
-        count, beams = arrays["time"].size, len(robot.beams)
+        count = arrays["time"].size
+        beams = len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
             raise ValueError(

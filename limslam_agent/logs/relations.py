@@ -41,7 +41,8 @@ class Relations:
 
     def within(self, time: FloatArray) -> BoolArray:
         """Which relations (k,) lie within the times (n,), s, of a log."""
-        first, last = time.min() - OUTSIDE_BY, time.max() + OUTSIDE_BY
+        first = time.min() - OUTSIDE_BY
+        last = time.max() + OUTSIDE_BY
         early, late = (by(self.start_time, self.end_time) for by in (np.minimum, np.maximum))
         return np.asarray((early >= first) & (late <= last))
 
@@ -100,7 +101,8 @@ def relation_errors(
         odometry the trajectory itself is interpolated.
     """
     inside = relations.within(time)
-    start_time, end_time = relations.start_time[inside], relations.end_time[inside]
+    start_time = relations.start_time[inside]
+    end_time = relations.end_time[inside]
     moves = poses if odometry is None else odometry
     start = _poses_at(start_time, time, poses, moves)
     end = _poses_at(end_time, time, poses, moves)
@@ -140,7 +142,9 @@ def _poses_at(
     """
     # The times of a log may step back.
     order = np.argsort(time, kind="stable")
-    time, poses, moves = time[order], poses[order], moves[order]
+    time = time[order]
+    poses = poses[order]
+    moves = moves[order]
     before = np.maximum(np.searchsorted(time, wanted, side="right") - 1, 0)
     after = np.minimum(before + 1, len(time) - 1)
     nearest = np.where(np.abs(time[after] - wanted) < np.abs(time[before] - wanted), after, before)

@@ -60,7 +60,8 @@ class Bag:
     """
 
     def __init__(self, path: FilePath, reader: "AnyReader") -> None:
-        self.path, self._reader = path, reader
+        self.path = path
+        self._reader = reader
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for connection in reader.connections:

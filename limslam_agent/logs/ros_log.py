@@ -75,10 +75,8 @@ def _on_one_clock(
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Times (n,) and values (n, k) of each reader, sorted by time."""
     stamped = all((table[:, 0] > 0.0).all() for table in tables)
-    first, last = (
-        max(table[:, 0].min() for table in tables),
-        min(table[:, 0].max() for table in tables),
-    )
+    first = max(table[:, 0].min() for table in tables)
+    last = min(table[:, 0].max() for table in tables)
     # Stamps of two machines, or of a clock that began at zero, cannot be compared.
     clock = 0 if stamped and first <= last else 1
     ordered = []
@@ -95,9 +93,11 @@ def _on_one_clock(
 
 
 def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> RecordedLog:
-    scans, moves = streams[: len(plan.scans)], streams[len(plan.scans) :]
+    scans = streams[: len(plan.scans)]
+    moves = streams[len(plan.scans) :]
     time, ranges = _together(plan, scans)
-    begin, end = max(times[0] for times, _ in moves), min(times[-1] for times, _ in moves)
+    begin = max(times[0] for times, _ in moves)
+    end = min(times[-1] for times, _ in moves)
     inside = (time >= begin) & (time <= end)
     if not inside.any():
         when = (
@@ -105,7 +105,8 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
             f"{end:.3f} s"
         )
         raise ValueError(f"the times of ranges and odometry do not overlap: {when}")
-    time, ranges = time[inside], ranges[inside]
+    time = time[inside]
+    ranges = ranges[inside]
     heading = moves[-1][1]
     heading[:, -1] = np.unwrap(heading[:, -1])
     times = min((times for times, _ in moves), key=len)

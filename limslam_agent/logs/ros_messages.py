@@ -39,12 +39,15 @@ def pose_of(message: Any) -> tuple[float, float, float]:
     Raises a ValueError if the pose is not finite, or its quaternion has length zero.
     """
     if hasattr(message, "transform"):
-        place, turn = message.transform.translation, message.transform.rotation
+        place = message.transform.translation
+        turn = message.transform.rotation
     else:
         # A pose with covariance is one level deeper.
         pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-        place, turn = pose.position, pose.orientation
-    x, y = float(place.x), float(place.y)
+        place = pose.position
+        turn = pose.orientation
+    x = float(place.x)
+    y = float(place.y)
     if not (math.isfinite(x) and math.isfinite(y)):
         raise ValueError(f"the position is {x:g}, {y:g}: not finite")
     return x, y, yaw_of((turn.x, turn.y, turn.z, turn.w))
@@ -82,11 +85,9 @@ def scan_angles(message: Any) -> FloatArray:
     """Directions of a LaserScan's beams (n,), rad, in the frame of the laser. Raises a ValueError
     if the scan has no beams, or their directions are not finite.
     """
-    count, first, step = (
-        len(message.ranges),
-        float(message.angle_min),
-        float(message.angle_increment),
-    )
+    count = len(message.ranges)
+    first = float(message.angle_min)
+    step = float(message.angle_increment)
     if not count:
         raise ValueError("the scan has no ranges")
     if not (math.isfinite(first) and math.isfinite(step) and (step != 0.0 or count == 1)):
@@ -136,7 +137,8 @@ class Mounts:
     def add(self, transforms: Sequence[Any]) -> None:
         """Add the transforms of a TFMessage. Raises a ValueError if a rotation is invalid."""
         for each in transforms:
-            shift, turn = each.transform.translation, each.transform.rotation
+            shift = each.transform.translation
+            turn = each.transform.rotation
             rotation = rotation_of((turn.x, turn.y, turn.z, turn.w))
             place = np.array([float(shift.x), float(shift.y), float(shift.z)])
             if not np.isfinite(place).all():
@@ -151,7 +153,9 @@ class Mounts:
         """Rotation (3, 3) and position (3,), m, of a frame on the body. None if the frame is
         unknown.
         """
-        frame, rotation, place = bare(frame), np.eye(3), np.zeros(3)
+        frame = bare(frame)
+        rotation = np.eye(3)
+        place = np.zeros(3)
         if frame == self._base:
             return rotation, place
         passed: set[str] = set()
@@ -160,7 +164,8 @@ class Mounts:
                 return None
             passed.add(frame)
             frame, turn, shift = self._parents[frame]
-            rotation, place = turn @ rotation, shift + turn @ place
+            rotation = turn @ rotation
+            place = shift + turn @ place
         return (rotation, place) if passed else None
 
 

@@ -39,8 +39,10 @@ _AT_ORIGIN = (np.eye(3), np.zeros(3))
 # A Crazyflie drone records its log blocks as plain arrays, and the topics' names describe their
 # content. One holds the right, front, left, back and up range (m) and the quaternion of the
 # attitude, the other one the position (m) by dead reckoning and the velocity.
-_RANGER, _POSITION = "state_ranger_qxyzw", "state_xyzv"
-_CRAZYFLIE_BEAMS_DEG, _QUATERNION = (-90.0, 0.0, 90.0, 180.0), slice(5, 9)
+_RANGER = "state_ranger_qxyzw"
+_POSITION = "state_xyzv"
+_CRAZYFLIE_BEAMS_DEG = (-90.0, 0.0, 90.0, 180.0)
+_QUATERNION = slice(5, 9)
 
 
 Topics = Mapping[str, float | None]
@@ -107,7 +109,8 @@ def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_ra
     if odometry is None:
         moves, mounts = _moves_in_transforms(bag)
     else:
-        moves, mounts = Reader(odometry, pose_of), _mounts(bag, odometry)
+        moves = Reader(odometry, pose_of)
+        mounts = _mounts(bag, odometry)
     sensors = [_laser(bag, topic, mounts, max_range) for topic in scans]
     given = [_range_sensor(bag, topic, chosen.get(topic), mounts, max_range) for topic in ranges]
     sensors += [sensor for sensor in given if sensor is not None]
@@ -143,7 +146,8 @@ def _choose(sensors: list[Sensor], moves: list[Reader], beams_deg: Sequence[floa
     offers = [(sensor, column) for sensor in sensors for column in range(len(sensor.beams))]
     beams = [sensor.beams[column] for sensor, column in offers]
     chosen = choose_beams(np.degrees([each.angle for each in beams]), beams_deg)
-    readers, read_order = [], []
+    readers = []
+    read_order = []
     for sensor in sensors:
         indices = [index for index in chosen if offers[index][0] is sensor]
         if indices:
@@ -162,7 +166,8 @@ def _sensor_topics(bag: Bag, chosen: Topics) -> tuple[list[str], list[str]]:
     scans, ranges = (_of_type(bag, kind, chosen) for kind in (LASER_SCAN, RANGE))
     if scans or ranges:
         return scans, ranges
-    scans, ranges = _of_type(bag, LASER_SCAN), _of_type(bag, RANGE)
+    scans = _of_type(bag, LASER_SCAN)
+    ranges = _of_type(bag, RANGE)
     ranges = [topic for topic in ranges if not is_vertical(topic)]
     if scans and ranges:
         both = f"LaserScan ({', '.join(scans)}) and Range topics ({', '.join(ranges)})"
@@ -201,7 +206,8 @@ def _moves_in_transforms(bag: Bag) -> tuple[Reader, Mounts]:
     Other transforms that are sent again and again are taken to be fixed, as that from the body's
     place on the floor to its middle.
     """
-    moving, fixed = _transform_topics(bag, is_fixed=False), _transform_topics(bag, is_fixed=True)
+    moving = _transform_topics(bag, is_fixed=False)
+    fixed = _transform_topics(bag, is_fixed=True)
     found = {
         (bare(each.header.frame_id), bare(each.child_frame_id)): (message.topic, each)
         for message in bag.messages(moving)

@@ -101,8 +101,11 @@ class _Conversion:
         period: float,
         options: TableOptions,
     ) -> None:
-        self.layout, self.values, self.options = layout, values, options
-        self.period, self.time = period, time
+        self.layout = layout
+        self.values = values
+        self.options = options
+        self.period = period
+        self.time = time
         self.spacing = np.maximum(np.diff(time, prepend=time[:1]), 0.0)
         # A speed says how far the robot drove until the row, and not in all of a gap before it.
         has_gaps = self.spacing > (1.5 * period if options.robot else np.inf)

@@ -127,7 +127,8 @@ class TableOptions:
         if radius is not None and not (math.isfinite(radius) and radius > 0.0):
             raise ValueError(f"--wheel-radius must be a number above 0, not {radius:g}")
         for name, dimension in _OPTIONS.items():
-            unit, known = getattr(self, name), UNITS[dimension]
+            unit = getattr(self, name)
+            known = UNITS[dimension]
             if unit is not None and unit not in known:
                 option = _option(name)
                 raise ValueError(f"{option} must be one of {', '.join(known)}, not {unit!r}")

@@ -161,8 +161,10 @@ class Rows:
         optional: Sequence[int],
         ranges: Sequence[int],
     ) -> None:
-        self.header, self.ranges = header, ranges
-        self.needed, self.optional = needed, optional
+        self.header = header
+        self.ranges = ranges
+        self.needed = needed
+        self.optional = optional
         self.values = array("d")
         self.lines = array("q")
         self.has_scan = bytearray()
@@ -328,7 +330,8 @@ def _names(line: bytes) -> tuple[list[str], bytes | None]:
     separator = next((mark for mark in _SEPARATORS if mark in text), None)
     names = [name.strip() for name in text.rstrip(separator).split(separator)]
     if separator == "\t" and "" in names[1:]:  # of an index, the first name is empty
-        separator, names = None, text.split()
+        separator = None
+        names = text.split()
     return (names if text else []), separator.encode() if separator else None
 
 

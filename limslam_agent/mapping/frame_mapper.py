@@ -50,8 +50,12 @@ class FrameMapper:
         config: AgentConfig,
         drawers: Sequence[ReadingDrawer] = (),
     ) -> None:
-        self.slam, self.grid, self._config, self.slam_ms = slam, grid, config, 0.0
-        self.drawers, self._places = drawers or self._new_drawers(), slam.range_sensor.places
+        self.slam = slam
+        self.grid = grid
+        self._config = config
+        self.slam_ms = 0.0
+        self.drawers = drawers or self._new_drawers()
+        self._places = slam.range_sensor.places
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -87,7 +91,8 @@ class FrameMapper:
         ValueError
             If the estimate has left all bounds.
         """
-        begin, before = time.perf_counter(), self.slam.poses
+        begin = time.perf_counter()
+        before = self.slam.poses
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
         check_poses("the estimated pose", self.slam.poses)
@@ -97,7 +102,8 @@ class FrameMapper:
         ):  # of one robot, and so the map of all has moved
             for monitor in self.monitors:
                 monitor.forget_map()
-        known, sensor = self.monitors[0].sensor, self.slam.range_sensor
+        known = self.monitors[0].sensor
+        sensor = self.slam.range_sensor
         if sensor.places != self._places:
             self._places, self.drawers = sensor.places, self._new_drawers()
             self.grid = self.renewal.draw_again()
@@ -109,7 +115,8 @@ class FrameMapper:
                     monitor.sensor = sensor
             else:
                 self.reset_monitors()
-        last, self._extraction = self._extraction, self.slam.last_extraction
+        last = self._extraction
+        self._extraction = self.slam.last_extraction
         for number in range(len(self.monitors)):
             self._watch(number, observations[number], is_busy=last is not self._extraction)
         for pose, front, drawer in zip(
@@ -135,7 +142,9 @@ class FrameMapper:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them
         if that is due.
         """
-        monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
+        monitor = self.monitors[number]
+        slam = self.slam
+        front = self.slam.robots[number]
         sight = Sight.of(front, slam.poses[number], slam.increments[number], observation)
         if monitor.observe(sight, is_busy=is_busy):
             monitor.sensor = slam.range_sensor

@@ -47,7 +47,8 @@ class Frames:
                 "a mapper needs a RobotSpec and an AgentConfig, in this order, not "
                 f"{type(robot).__name__} and {type(config).__name__}"
             )
-        self.robot, self.config = robot, config
+        self.robot = robot
+        self.config = config
 
     def _begin(self, slam: LineSlam) -> None:
         """Begin with an empty map in the first frame."""
@@ -104,7 +105,8 @@ class Frames:
 
     def _process_again(self, observations: Iterable[Observation], begin: int = 0) -> Revision:
         """Process stored observations of the only robot, from a step on, in the present frame."""
-        poses, covariances = list[FloatArray](), list[FloatArray]()
+        poses = list[FloatArray]()
+        covariances = list[FloatArray]()
         for observation in observations:
             # The caller has later steps already, which a renewal would not move.
             self._present.process((observation,), self.frame, may_renew=False)
@@ -129,7 +131,8 @@ class Frames:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place
         again.
         """
-        own, sensor = self._present.monitors[0], self.slam.range_sensor
+        own = self._present.monitors[0]
+        sensor = self.slam.range_sensor
         step = Sight.of(self.slam.robots[0], self.slam.pose, motion, observation)
         recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
         if recovery.is_too_long:
@@ -177,7 +180,8 @@ class Frames:
         The new map takes the place of the earlier one if that has too few walls for the robot to be
         found in it.
         """
-        absence, log = recovery.absence, recovery.log
+        absence = recovery.absence
+        log = recovery.log
         assert absence is not None  # noqa: S101 (the robot is lost)
         is_anew = recovery.begin_anew()
         slam = self._slam_at(log[absence.first - 1].pose)
@@ -202,7 +206,8 @@ class Frames:
         is_renewed = self._present.renew_lost()
         if is_renewed:
             renewal = self._present.renewal
-            poses, covariances = renewal.poses, renewal.covariances
+            poses = renewal.poses
+            covariances = renewal.covariances
             self.frame += renewal.has_jumped
             self._revisions.append(
                 Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances))
@@ -212,7 +217,8 @@ class Frames:
 
     def _go_on_at(self, recovery: Recovery, found: Placement) -> None:
         """Go on in the frame that the robot was lost from, at the place that was found."""
-        absence, log = recovery.absence, recovery.log
+        absence = recovery.absence
+        log = recovery.log
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         self._use(*absence.known.copied())
         self.slam.robots[0].step = log.begin - 1
@@ -238,7 +244,8 @@ class Frames:
         self._unplaced = Unplaced(
             absence.known.step, self.slam.segments, self.slam.landmarks, local
         )
-        pose, covariance = self.slam.pose, self.slam.covariance
+        pose = self.slam.pose
+        covariance = self.slam.covariance
         self._use(*absence.known.copied())
         self.slam.relocate(pose, covariance)
         recovery.note_event("not found", step=recovery.log.end - 1)

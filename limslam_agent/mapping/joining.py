@@ -287,14 +287,16 @@ class JoiningMapper(Mapper):
         smoothed = self._smoothed_together(frame)
         if smoothed is None:
             return
-        poses, start = smoothed.poses, smoothed.poses[0, 1]
+        poses = smoothed.poses
+        start = smoothed.poses[0, 1]
         slam = self._slam_at(poses[-1])
         slam.know(smoothed.landmarks, smoothed.segments)
         slam.associations.extend(smoothed.associations)
         for number, front in enumerate(slam.robots):
             slam.relocate(poses[-1, number], smoothed.covariances[-1, number], number)
             front.step = len(poses) - 1
-        grid, ranges = OccupancyGrid(self.config.grid), smoothed.ranges
+        grid = OccupancyGrid(self.config.grid)
+        ranges = smoothed.ranges
         is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
         self._use(slam, grid)
@@ -302,7 +304,8 @@ class JoiningMapper(Mapper):
         self._waiting = WaitingTravel(2, self.robot)
         odometry = np.array([row[2] for row in self._rows])
         odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])
-        self.earlier, self.odometry = Earlier(poses, smoothed.covariances, odometry), odometry[-1]
+        self.earlier = Earlier(poses, smoothed.covariances, odometry)
+        self.odometry = odometry[-1]
         self._changes += 1
         self.frame = self._changes + sum(mapper.frame for mapper in self._alone)
         self.is_apart = False
@@ -323,11 +326,9 @@ class JoiningMapper(Mapper):
         """The drive of a robot in its own frame."""
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        slam, steps, ranges = (
-            self._alone[number].slam,
-            self._meeting.steps[number],
-            self._meeting.ranges[:, [number]],
-        )
+        slam = self._alone[number].slam
+        steps = self._meeting.steps[number]
+        ranges = self._meeting.ranges[:, [number]]
         wheels = np.array([step.observation["wheels"] for step in steps])[:, None]
         yaw = np.array([yaw_of(step.observation) for step in steps])
         poses = np.array([step.pose for step in steps])[:, None]
@@ -350,10 +351,8 @@ class JoiningMapper(Mapper):
         """Confirm a joining, or take it back. The own map of a robot that is lost or elsewhere says
         nothing of it.
         """
-        own_maps, grid = (
-            [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps,
-            self.grid,
-        )
+        own_maps = [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps
+        grid = self.grid
         shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
         is_complete = not leads_to_unseen(
             grid, self.poses[0], self.config.policy.min_frontier
@@ -362,7 +361,8 @@ class JoiningMapper(Mapper):
         if objection:
             self._part(objection)
         elif not self._meeting.is_open:
-            self._alone, self._rows = [], []
+            self._alone = []
+            self._rows = []
 
     def _part(self, reason: str) -> None:
         """Take a joining back: each robot goes on with the map that it has by itself."""

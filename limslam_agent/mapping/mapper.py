@@ -156,10 +156,12 @@ class Mapper(Frames):
 
     def _start_at(self, starts: FloatArray, slam: LineSlam) -> None:
         """Begin at known poses (n, 3) with an empty map."""
-        self._starts, self._is_finished = starts, False
+        self._starts = starts
+        self._is_finished = False
         self._begin(slam)
         self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
-        self._recovery, self._lookup = self._new_recovery(), None
+        self._recovery = self._new_recovery()
+        self._lookup = None
         if self._prior_map is not None:
             self._lookup = Lookup(self._prior_map, self.robot, self.config, len(starts))
         self._waiting = WaitingTravel(len(starts), self.robot)
@@ -243,13 +245,12 @@ class Mapper(Frames):
     @property
     def beliefs(self) -> list[Belief]:
         """The belief of each robot. Later steps do not change it."""
-        slam, grid = self.slam, self.grid
-        poses, covariances, segments, statuses = (
-            self.poses,
-            self.covariances,
-            slam.segments,
-            self.statuses,
-        )
+        slam = self.slam
+        grid = self.grid
+        poses = self.poses
+        covariances = self.covariances
+        segments = slam.segments
+        statuses = self.statuses
         return [
             Belief(
                 poses[number],
@@ -271,7 +272,8 @@ class Mapper(Frames):
         """Estimated pose of each robot (n, 3), m and rad. Late ranges are those of an earlier
         pose.
         """
-        poses, travel = self.slam.poses, self._waiting.travel
+        poses = self.slam.poses
+        travel = self._waiting.travel
         return ahead(poses, travel, self.robot.axle) if travel.any() else poses
 
     @property
@@ -295,7 +297,8 @@ class Mapper(Frames):
         recovery = self._recovery
         if recovery is None:
             return PlaceHistory()
-        breaks, records = list(recovery.breaks), list(recovery.records)
+        breaks = list(recovery.breaks)
+        records = list(recovery.records)
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
         is_suspicious = self._present.monitors[0].mistaken >= LIMIT
@@ -345,8 +348,10 @@ class Mapper(Frames):
         """
         if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
-        before, self._known = self._known, self._found()
-        sensor, reach = self._known[0], self.robot.reach
+        before = self._known
+        self._known = self._found()
+        sensor = self._known[0]
+        reach = self.robot.reach
         if sensor is None:
             return False
         if before[0] is not None:
@@ -371,7 +376,8 @@ class Mapper(Frames):
         errors of second order.
         """
         self._restarts += 1
-        steps, spent = self._first_steps, self.slam_ms
+        steps = self._first_steps
+        spent = self.slam_ms
         self._start_at(self._starts, self._slam_at(self._starts))
         for observations in steps:
             self.step(*observations)

@@ -58,12 +58,13 @@ class Renewal:
     """
 
     def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
-        self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
-        self._first_grid, self.poses, self.covariances = (
-            grid,
-            list[FloatArray](),
-            list[FloatArray](),
-        )
+        self._slam = slam
+        self._config = config
+        self.grid = grid
+        self.has_jumped = False
+        self._first_grid = grid
+        self.poses = list[FloatArray]()
+        self.covariances = list[FloatArray]()
         self._rows: list[
             tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray, float, list[float]]
         ] = []
@@ -94,7 +95,8 @@ class Renewal:
 
     def renew_if_due(self) -> bool:
         """Renew the estimate some minutes after the last time; whether it was renewed."""
-        settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
+        settings = self._config.renewal
+        waited = len(self._rows) * self._slam.robot.control_period
         if settings is None or not self._rows or waited < settings.period:
             return False
         is_renewed = self._renew()
@@ -135,7 +137,8 @@ class Renewal:
         if gain < (-DECIDED if is_expected and self._expects(trial.pose) else DECIDED):
             return False
         self._slam.renew(state)
-        self.grid, self.poses = grid, poses
+        self.grid = grid
+        self.poses = poses
         self.covariances = [row[4] for row in self._rows[1:]]
         self.has_jumped = bool(
             np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > LARGE_CORRECTION

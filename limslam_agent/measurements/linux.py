@@ -8,8 +8,12 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-_SET_DUMPABLE, _SET_CHILD_SUBREAPER = 4, 36  # numbers of prctl(2)
-_ROUNDS, _PAUSE = 100, 0.02  # s, between two rounds of ending processes
+# numbers of prctl(2)
+_SET_DUMPABLE = 4
+_SET_CHILD_SUBREAPER = 36
+# s, between two rounds of ending processes
+_ROUNDS = 100
+_PAUSE = 0.02
 
 
 def hide_memory() -> None:

@@ -49,7 +49,9 @@ class Processes:
 
         When the caller closes the generator, the workers are killed.
         """
-        waiting, busy, idle = deque(jobs), list[_Worker[J, R]](), list[_Worker[J, R]]()
+        waiting = deque(jobs)
+        busy = list[_Worker[J, R]]()
+        idle = list[_Worker[J, R]]()
         try:
             while waiting or busy:
                 while waiting and len(busy) < self.workers:
@@ -95,7 +97,8 @@ class _Worker(Generic[J, R]):
 
     def give(self, job: J) -> None:
         """Hand a job to the process."""
-        self.job, self.deadline = job, math.inf
+        self.job = job
+        self.deadline = math.inf
         with suppress(OSError):  # it has just died, as its end of the pipe will say
             self.connection.send(job)
 

@@ -30,11 +30,10 @@ not reach its level.
 MISSING = "\N{EN DASH}"
 """The text of a number that is not known."""
 
-_RESAMPLES, _DRAWS, _FEWEST = (
-    2000,
-    4_000_000,
-    400,
-)  # large samples have narrow intervals and need fewer resamples
+# large samples have narrow intervals and need fewer resamples
+_RESAMPLES = 2000
+_DRAWS = 4_000_000
+_FEWEST = 400
 
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -58,7 +57,8 @@ class Estimate:
         words = number(self.value, decimals)
         if self.low is None or self.high is None:
             return words
-        low, high = number(self.low, decimals), number(self.high, decimals)
+        low = number(self.low, decimals)
+        high = number(self.high, decimals)
         return words if low == high == words else f"{words} [{low}, {high}]"
 
 
@@ -155,7 +155,8 @@ def geometric_ratio(first: ArrayLike, second: ArrayLike, least: float) -> Estima
     logs = np.log(np.asarray(second, dtype=float)) - np.log(np.asarray(first, dtype=float))
     if not len(logs):
         return None
-    middle, error = float(logs.mean()), two_errors(logs, least)
+    middle = float(logs.mean())
+    error = two_errors(logs, least)
     return Estimate(math.exp(middle), math.exp(middle - error), math.exp(middle + error), len(logs))
 
 
@@ -182,7 +183,8 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
     as no test.
     """
     known = sorted((value, index) for index, value in enumerate(p_values) if value is not None)
-    corrected, largest = list(p_values), 0.0
+    corrected = list(p_values)
+    largest = 0.0
     for rank, (value, index) in enumerate(known):
         largest = max(largest, min(1.0, (len(known) - rank) * value))
         corrected[index] = largest

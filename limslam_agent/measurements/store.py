@@ -19,7 +19,9 @@ from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
 RESULTS = "results.jsonl"
-_LOCK, _MAX_BYTES, _LARGEST = ".lock", 256_000_000, 1e100
+_LOCK = ".lock"
+_MAX_BYTES = 256_000_000
+_LARGEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ class Store(Generic[R]):
     """
 
     def __init__(self, form: Format[Any, R], folder: Path, rows: Iterable[R]) -> None:
-        self.folder, self._key = folder, form.key
+        self.folder = folder
+        self._key = form.key
         self.rows: dict[Hashable, R] = {form.key(row): row for row in rows}
 
     def append(self, row: R) -> None:

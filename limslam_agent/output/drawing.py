@@ -17,17 +17,23 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.style import hexadecimal, robot_colour
 from limslam_env.geometry import FloatArray
 
-TRUTH, WALLS = "0.72", "#c0392b"
-TRUE_PATH, ESTIMATED_PATH, ODOMETRY_PATH = "0.25", "#1f6fb4", "#e08e2b"
+TRUTH = "0.72"
+WALLS = "#c0392b"
+TRUE_PATH = "0.25"
+ESTIMATED_PATH = "#1f6fb4"
+ODOMETRY_PATH = "#e08e2b"
 
-_DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
+_DASHES = (0, (4, 2))
+_DOTS = (0, (1, 1.5))
 _ONLINE_WIDTH = 0.9
-_START, _END = "o", "s"
-_LETTERS_PER_INCH, _LINE_HEIGHT = 11, 0.2  # of a title, and of a line of title or legend, inches
-_LETTERS_PER_INCH_OF_LEGEND, _HANDLE = (
-    15,
-    0.6,
-)  # of a legend, and the line and the gap beside its text, inches
+_START = "o"
+_END = "s"
+# of a title, and of a line of title or legend, inches
+_LETTERS_PER_INCH = 11
+_LINE_HEIGHT = 0.2
+# of a legend, and the line and the gap beside its text, inches
+_LETTERS_PER_INCH_OF_LEGEND = 15
+_HANDLE = 0.6
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
@@ -207,7 +213,8 @@ def _draw_grid(axes: Axes, grid: GridView) -> None:
     """Draw free cells pale and occupied cells darker. Unknown cells stay white."""
     if not grid.values.size:
         return
-    low, high = grid.low, grid.low + grid.cell * np.array(grid.values.shape[::-1])
+    low = grid.low
+    high = grid.low + grid.cell * np.array(grid.values.shape[::-1])
     axes.imshow(
         np.sign(grid.values),
         cmap=_GRID,
@@ -248,13 +255,12 @@ def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
     """Corners of the region that is shown. Odometry that runs away does not make the map small."""
     edges = [] if picture.true_edges is None else [picture.true_edges.reshape(-1, 2)]
     points = np.vstack([picture.segments.reshape(-1, 2), *picture.estimated, *picture.true, *edges])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low = points.min(axis=0)
+    high = points.max(axis=0)
     around = _AROUND * float((high - low).max()) + 0.25
     odometry = np.vstack([points, *picture.odometry])
-    low, high = (
-        np.maximum(odometry.min(axis=0), low - around),
-        np.minimum(odometry.max(axis=0), high + around),
-    )
+    low = np.maximum(odometry.min(axis=0), low - around)
+    high = np.minimum(odometry.max(axis=0), high + around)
     margin = 0.04 * float((high - low).max()) + 0.05
     # The strip below the map is for the scale bar.
     return low - np.array([margin, 2.2 * margin]), high + margin

@@ -18,7 +18,10 @@ from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted, one_line
 
-MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
+MAP = "map.json"
+LOG = "log.npz"
+PICTURE = "map.png"
+WORLD = "world.toml"
 COVARIANCES = "covariance_est.npz"
 UNPLACED = "map_unplaced.json"
 _KINDS = {"estimated": "est", "odometry": "odometry", "true": "true", "smoothed": "smoothed"}
@@ -96,7 +99,8 @@ def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
     """A run in a few words, from the ``config`` of its ``result.json``. Missing values are left
     out.
     """
-    noise, policy = config.get("noise"), str(config.get("policy", "frontier"))
+    noise = config.get("noise")
+    policy = str(config.get("policy", "frontier"))
     parts = (
         str(config["world"]),
         f"{robots} robots" if robots > 1 else "",
@@ -120,7 +124,8 @@ def read_run(folder: Path) -> FinishedRun:
     inconsistent with the others.
     """
     _check_finished(folder)
-    result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
+    result = _read_json(folder / RESULT_FILE)
+    segments = read_walls(folder / MAP)
     tables = {name: _trajectories(folder, kind) for name, kind in _KINDS.items()}
     estimated = tables["estimated"]
     if not estimated:

@@ -192,7 +192,8 @@ def draw_comparison(
             name, fontsize=11, color=COLOURS[number], fontweight="bold", parse_math=False
         )
     if has_truth:
-        left, right = figure.add_subplot(grid[-1, :columns]), figure.add_subplot(grid[-1, columns:])
+        left = figure.add_subplot(grid[-1, :columns])
+        right = figure.add_subplot(grid[-1, columns:])
         for run, name, colour in zip(runs, names_of(runs), COLOURS, strict=False):
             colours = [colour] * len(run.estimated)
             _plot((left, right), run, run.smoothed or run.estimated, run.true, colours, name)

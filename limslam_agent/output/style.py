@@ -16,10 +16,20 @@ Colour: TypeAlias = tuple[int, int, int]
 Anchor = Literal["left", "centre", "right"]
 
 # These are the colours of the simulator's pictures, so that both halves of a video look alike.
-PAPER, UNKNOWN, FREE, OCCUPIED = (250, 250, 249), (222, 227, 233), (252, 248, 238), (167, 174, 186)
-WALL, FRONTIER, GLOW = (205, 48, 66), (20, 150, 140), (240, 170, 30)
-INK, TEXT, FAINT, RULE = (36, 43, 55), (86, 94, 108), (150, 157, 168), (208, 213, 220)
-LEFT, RIGHT, BEAM = (222, 126, 20), (150, 62, 168), (226, 138, 40)
+PAPER = (250, 250, 249)
+UNKNOWN = (222, 227, 233)
+FREE = (252, 248, 238)
+OCCUPIED = (167, 174, 186)
+WALL = (205, 48, 66)
+FRONTIER = (20, 150, 140)
+GLOW = (240, 170, 30)
+INK = (36, 43, 55)
+TEXT = (86, 94, 108)
+FAINT = (150, 157, 168)
+RULE = (208, 213, 220)
+LEFT = (222, 126, 20)
+RIGHT = (150, 62, 168)
+BEAM = (226, 138, 40)
 PEAKS = ((36, 178, 205), (240, 170, 30), (238, 96, 142), (120, 200, 90), (190, 150, 250))
 ROBOTS = (
     (38, 103, 178),

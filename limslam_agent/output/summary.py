@@ -125,12 +125,11 @@ def peak_memory() -> dict[str, float]:
 
 def record_summary(result: Mapping[str, Any]) -> list[str]:
     """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
-    config, record = part_of(result, "config"), part_of(result, "record")
+    config = part_of(result, "config")
+    record = part_of(result, "record")
     agent = part_of(config, "agent")
-    preset, beams = (
-        config.get("preset") or agent.get("preset"),
-        part_of(config, "robot").get("beams"),
-    )
+    preset = config.get("preset") or agent.get("preset")
+    beams = part_of(config, "robot").get("beams")
     noise = part_of(agent, "noise").get("range_std")
     method = [
         " ".join(str(each) for each in (preset, config.get("ablation")) if each),
@@ -297,11 +296,9 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:
     """The status at the end, and how long the estimate had each status if there were several."""
-    level, reason, note = (
-        metrics.get("status"),
-        metrics.get("status_reason"),
-        metrics.get("status_note"),
-    )
+    level = metrics.get("status")
+    reason = metrics.get("status_reason")
+    note = metrics.get("status_note")
     if not isinstance(level, str):
         return []
     why = f": {reason}" if reason else ""
@@ -327,7 +324,8 @@ def _status(metrics: Mapping[str, Any]) -> list[str]:
 
 def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
     """Whether the smoothed path can be trusted."""
-    level, reason = metrics.get("smoothed_status"), metrics.get("smoothed_status_reason")
+    level = metrics.get("smoothed_status")
+    reason = metrics.get("smoothed_status_reason")
     if not isinstance(level, str):
         return []
     lines = [f"            {level} at the end{f': {reason}' if reason else ''}"]

@@ -13,7 +13,8 @@ from limslam_env.geometry import FloatArray
 from limslam_env.messages import one_line
 
 # A robot on a floor rises by less, m, and is tilted by less, deg.
-_LARGEST_RISE, _LARGEST_TILT_DEG = 0.1, 10.0
+_LARGEST_RISE = 0.1
+_LARGEST_TILT_DEG = 10.0
 _FLAT = 0.2  # of the change of z: a smaller change of y means that the floor is the plane x-z
 
 

@@ -285,7 +285,8 @@ def carried_at(
     place
         The map of the time before.
     """
-    steps, mounted = log.steps[: len(placed)], sensor.mounted(robot)
+    steps = log.steps[: len(placed)]
+    mounted = sensor.mounted(robot)
     # The steps before the break are explained by the poses that were believed, and the others by
     # the placed ones.
     gained = [

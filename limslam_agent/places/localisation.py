@@ -33,23 +33,27 @@ from limslam_env.geometry.segment import sample
 _CELL = 0.05  # m: of the rough search
 # m^2: the following numbers of poses are those of a map with so much ground, and grow with it
 _GROUND = 100.0
-_EVERY, _TURNS = 2, 72  # every second row and column is tried, and this number of turns
+# every second row and column is tried, and this number of turns
+_EVERY = 2
+_TURNS = 72
 _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
-_LATEST, _EARLIER, _POSES = (
-    60,
-    60,
-    2000,
-)  # number of rays in the rough search, and of its best poses
-_REFINED, _FEWEST = 60, 150  # number of poses that are refined: by the ground, and in a small map
+# number of rays in the rough search, and of its best poses
+_LATEST = 60
+_EARLIER = 60
+_POSES = 2000
+# number of poses that are refined: by the ground, and in a small map
+_REFINED = 60
+_FEWEST = 150
 _SPREAD = 0.25, math.radians(12.0)  # how far these poses are apart
 _LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _KEPT = 20  # number of places that are tried again in the next search
-_WALL, _HIT, _MISS = (
-    0.20,
-    (2.5, 1.3),
-    -8.0,
-)  # m, and evidence of a ray's end at a wall, and in free ground
-_CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
+# m, and evidence of a ray's end at a wall, and in free ground
+_WALL = 0.20
+_HIT = (2.5, 1.3)
+_MISS = -8.0
+# evidence of a ray's way through a wall, and through free ground
+_CROSSED = -6.0
+_FREE = 0.2
 _ALIKE = (
     2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 )
@@ -65,12 +69,15 @@ that the robot was carried away.
 FAR = 1.5, math.radians(30.0)
 """A robot that is off by more than this, m and rad, has not drifted, but was carried."""
 
-_FIRST, _SPACING = 0.8, 0.35  # m: way to the first search, and between two of them
+# m: way to the first search, and between two of them
+_FIRST = 0.8
+_SPACING = 0.35
 
 LARGEST_RUNNER_UP = 0.70
 """Largest evidence of another place, as a share of the best one, at which a place is confirmed."""
 
-CONFIRMED, FAR_CONFIRMED = WINDOW, 30.0
+CONFIRMED = WINDOW
+FAR_CONFIRMED = 30.0
 """A place is confirmed after so much driving without contradictions, m: in a map without a
 frontier, and in any map.
 """
@@ -103,10 +110,8 @@ class KnownPlaces(KnownMap):
 
         low, fields, is_tried = self._rough
         some = _sample(rays)
-        middle, turns = (
-            some[:, :2].mean(axis=0),
-            np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False),
-        )
+        middle = some[:, :2].mean(axis=0)
+        turns = np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
         scores = np.empty((len(turns), *is_tried.shape), dtype=np.float32)
         scan_poses(turns, some, middle, fields, _CELL, np.empty(some.shape, dtype=np.int64), scores)
         good = np.flatnonzero((scores > 0.0) & is_tried)
@@ -240,7 +245,8 @@ def localise(
     # more.
     fits.sort(key=lambda fit: (fit.is_on_map < -DECIDED, -fit.evidence * shares[id(fit)]))
     places = _places(fits, middle)
-    best, share = places[0], shares[id(places[0])]
+    best = places[0]
+    share = shares[id(places[0])]
     is_near = far < 1.0 and share == 1.0
     # A far place is compared with others that count in full, and a near one with far ones that do
     # not.
@@ -264,7 +270,8 @@ def localise(
 
 def _sample(rays: FloatArray) -> FloatArray:
     """The latest of the rays (n, 7), and some of the earlier ones, which lie evenly in time."""
-    earlier, latest = rays[:-_LATEST], rays[-_LATEST:]
+    earlier = rays[:-_LATEST]
+    latest = rays[-_LATEST:]
     chosen = np.linspace(0, max(len(earlier) - 1, 0), min(_EARLIER, len(earlier))).astype(int)
     return np.ascontiguousarray(np.concatenate((earlier[chosen], latest)))
 
@@ -353,7 +360,8 @@ class PlaceSearch:
     def __init__(self, place: KnownPlaces) -> None:
         self.place = place
         self.latest: Localisation | None = None
-        self._way, self._refused = 0.0, 0
+        self._way = 0.0
+        self._refused = 0
         self.begin_anew()
 
     def begin_anew(self) -> None:

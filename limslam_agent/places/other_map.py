@@ -68,7 +68,8 @@ class Lookup:
                 "only one robot with the preset graph or consistent can look for its place in a map"
             )
         OccupancyGrid.of(saved.grid, config.grid)
-        self.saved, self._robot = saved, robot
+        self.saved = saved
+        self._robot = robot
         self.place = KnownPlaces(saved.segments, saved.grid, RangeSensor(config.range_std))
         self._search = PlaceSearch(self.place)
         self.steps: list[Sight] = []
@@ -98,7 +99,8 @@ class Lookup:
         if found is None or found.fit is None:
             return None
         frame = found.fit.pose
-        placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
+        placed = compose(frame, start)
+        middle = transform_points(frame, found.middle[None])[0]
         self._close("found in the saved map")
         return Placement(0, placed, match_covariance(middle, placed), moved(rays, frame))
 
@@ -123,7 +125,8 @@ class _MapOfOther(KnownPlaces):
 
     def __init__(self, slam: LineSlam, grid: GridView, rays: FloatArray, met: FloatArray) -> None:
         super().__init__(slam.segments, grid, slam.range_sensor)
-        self.rays, self._met = rays, met
+        self.rays = rays
+        self._met = met
 
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
         """How well the rays (n, 7) fit the map, for poses (m, 3) of their frame."""
@@ -152,16 +155,16 @@ class Meeting:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self.is_open = robot, True
+        self._robot = robot
+        self.is_open = True
         self.steps: tuple[list[Sight], list[Sight]] = ([], [])
         self.records: list[dict[str, Any]] = []
         nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
         self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
         self._driven = self._joined_at = 0.0
-        self._frame, self._rays = (
-            np.zeros(3),
-            np.empty((0, 7)),
-        )  # the place that was found, and by what
+        # the place that was found, and by what
+        self._frame = np.zeros(3)
+        self._rays = np.empty((0, 7))
 
     def note(self, steps: Sequence[Sight]) -> None:
         """Keep a step of each robot in its own frame."""
@@ -200,10 +203,8 @@ class Meeting:
             frame, (first, second) = found.fit.pose, maps
             (back,) = second.weigh(inverse(frame)[None], second.rays)
             if back.is_on_map >= -DECIDED:
-                self._frame, self._rays = (
-                    frame,
-                    moved(first.rays[first.is_clear(frame, first.rays)], frame),
-                )
+                self._frame = frame
+                self._rays = moved(first.rays[first.is_clear(frame, first.rays)], frame)
                 return frame
         return None
 
@@ -229,10 +230,8 @@ class Meeting:
         """
         self._search.wait()
         if own_maps:
-            first, drift = (
-                self._maps(own_maps)[0],
-                own_maps[0][0].covariance + own_maps[1][0].covariance,
-            )
+            first = self._maps(own_maps)[0]
+            drift = own_maps[0][0].covariance + own_maps[1][0].covariance
             if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
                 return "the readings contradict the other robot's map"
         driven = self._driven - self._joined_at

@@ -51,7 +51,9 @@ from limslam_env.interface import RobotSpec
 
 # Number of steps between two copies of the estimate, number of copies that are kept, and least
 # number of steps by which a copy must be older than the first doubt about the estimate.
-_CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
+_CHECKPOINT = 50
+_CHECKPOINTS = 6
+_MARGIN = 100
 
 LONGEST_ABSENCE = 18_000
 """Number of steps after which the frame from before a doubt is given up: half an hour with steps of
@@ -83,7 +85,8 @@ class Recovery:
     """
 
     def __init__(self, robot: RobotSpec, config: AgentConfig) -> None:
-        self._robot, self._agent = robot, config
+        self._robot = robot
+        self._agent = config
         self.log = StepLog()
         self._copies: list[KnownFrame] = []
         self.absence: Absence | None = None
@@ -116,7 +119,8 @@ class Recovery:
         """Where the robot may be while it is lost, by the latest search."""
         if self.absence is None or not self.is_lost or self.absence.search.latest is None:
             return []
-        grid, likely = self.absence.search.place.grid, self.absence.search.latest.open
+        grid = self.absence.search.place.grid
+        likely = self.absence.search.latest.open
         return [
             Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), grid) for fit in likely
         ]
@@ -187,7 +191,8 @@ class Recovery:
         what it believed and knew when it was lost from there: what it has read at a wrong place
         says nothing of the earlier map. If it has slipped since then, its place was right.
         """
-        before, first = self.absence, max(self.log.end - 1 - loss.ago, self.log.begin + 1)
+        before = self.absence
+        first = max(self.log.end - 1 - loss.ago, self.log.begin + 1)
         if before is None or before.known is None or (self.is_placed and loss.known is not None):
             before = self.absence = self._lost_from(first, loss, jump, slam, grid)
         elif before.placed is not None:
@@ -195,7 +200,8 @@ class Recovery:
                 self.breaks.pop()
             elif before.placed.has_slipped:
                 self.slips.pop()
-            first, before.placed = before.since, None
+            first = before.since
+            before.placed = None
             self.log.steps[: len(before.steps)] = before.steps
         else:
             before.is_carried |= (
@@ -218,11 +224,10 @@ class Recovery:
             slam, grid
         )
         self.log.forget_before(known.step)
-        jump, since = (
-            max(jump, known.spread) if loss.is_carried else jump,
-            max(first, self.log.begin + 1),
-        )
-        search, steps = PlaceSearch(known.places), self.log.before(since)
+        jump = max(jump, known.spread) if loss.is_carried else jump
+        since = max(first, self.log.begin + 1)
+        search = PlaceSearch(known.places)
+        steps = self.log.before(since)
         return Absence(
             loss,
             since,
@@ -262,13 +267,17 @@ class Recovery:
         The map in which it is now takes the place of the earlier one, and the robot is unsure of it
         until nothing speaks against it.
         """
-        absence, reason = self.absence, NOT_CONFIRMED
+        absence = self.absence
+        reason = NOT_CONFIRMED
         assert absence is not None  # noqa: S101 (the robot is away)
         if absence.placed is None:
             self._offset = self.added_covariance
             self.note_event("given up", step=absence.first)
-            absence.placed, reason = Placed(absence.driven, np.empty((0, 7)), None), GIVEN_UP
-        absence.loss, absence.known, absence.steps = Loss(Status("unsure", reason), 0), None, ()
+            absence.placed = Placed(absence.driven, np.empty((0, 7)), None)
+            reason = GIVEN_UP
+        absence.loss = Loss(Status("unsure", reason), 0)
+        absence.known = None
+        absence.steps = ()
 
     def arrive(
         self, steps: Sequence[Sight], poses: FloatArray, place: KnownPlaces, rays: FloatArray
@@ -306,7 +315,8 @@ class Recovery:
         """
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots seek)
-        place, rays = absence.search.place, self._rays(absence, sensor)
+        place = absence.search.place
+        rays = self._rays(absence, sensor)
         place.sensor = sensor
         if absence.is_carried:
             found = absence.search.seek(rays, may_be_bent=False)
@@ -323,7 +333,8 @@ class Recovery:
 
         Where the map of that time ends, readings near the believed pose decide nothing.
         """
-        doubt, sensor = own.doubt, slam.range_sensor
+        doubt = own.doubt
+        sensor = slam.range_sensor
         if self.absence is not None or doubt is None or not doubt.is_carried:
             self._doubt = None
             return None
@@ -333,7 +344,8 @@ class Recovery:
             if known is None:
                 return None
             self._doubt = first, PlaceSearch(known.places)
-        search, rays = self._doubt[1], rays_of(self.log.since(first), self._robot, sensor)
+        search = self._doubt[1]
+        rays = rays_of(self.log.since(first), self._robot, sensor)
         found = search.seek(rays, may_be_bent=False) if search.is_due else None
         if found is None or found.fit is None or not is_far(found.fit.pose, found.middle):
             return None
@@ -473,7 +485,9 @@ class Recovery:
     ) -> Placement:
         """Where the robot was before it was carried away."""
         assert found.fit is not None  # noqa: S101 (a place was found)
-        log, frame, known = self.log, found.fit.pose, absence.known
+        log = self.log
+        frame = found.fit.pose
+        known = absence.known
         last = max(absence.first - 1, log.begin)
         # A robot that was lost in its local frame, too, was carried away before it was lost for the
         # first time.

@@ -111,8 +111,10 @@ def revised(
 
     While the robot was lost, its poses were in a local frame.
     """
-    poses, covariances = poses.copy(), covariances.copy()
+    poses = poses.copy()
+    covariances = covariances.copy()
     for revision in revisions:
         rows = slice(revision.begin, revision.begin + len(revision.poses))
-        poses[rows, 0], covariances[rows, 0] = revision.poses, revision.covariances
+        poses[rows, 0] = revision.poses
+        covariances[rows, 0] = revision.covariances
     return poses, covariances

@@ -14,7 +14,9 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import one_line
 
-_WALL, _UNKNOWN = 100, 205  # grey values of map.pgm: up to the first is wall, the second is unknown
+# grey values of map.pgm: up to the first is wall, the second is unknown
+_WALL = 100
+_UNKNOWN = 205
 _KNOWN = 4  # value of a known cell of the grid: as sure as a few beams make it
 
 
@@ -73,7 +75,8 @@ def read_saved_map(folder: Path) -> SavedMap:
 
 
 def _landmark(number: int, found: dict[str, Any], walls: int) -> Landmark:
-    covariance, ends = np.array(found["cov"], dtype=float), np.array(found["ends"], dtype=float)
+    covariance = np.array(found["cov"], dtype=float)
+    ends = np.array(found["ends"], dtype=float)
     segments = tuple(int(each) for each in found["segments"])
     if (
         covariance.shape != (2, 2)
@@ -126,7 +129,8 @@ def _pixels(content: bytes) -> np.ndarray[tuple[int, int], np.dtype[np.uint8]]:
     header = re.match(rb"P5\s+(\d{1,6})\s+(\d{1,6})\s+255\s", content)
     if header is None:
         raise ValueError("no PGM file")
-    columns, rows = int(header[1]), int(header[2])
+    columns = int(header[1])
+    rows = int(header[2])
     if len(content) - header.end() != rows * columns:
         raise ValueError("a PGM file of another length")
     return np.frombuffer(content, dtype=np.uint8, offset=header.end()).reshape(rows, columns)[::-1]

@@ -34,7 +34,8 @@ REPLAN_PERIOD = 5
 
 # Number of steps for which a measured point is remembered, and a point of a beam that reads its
 # minimum range.
-MEMORY, TOUCH = 40, 3
+MEMORY = 40
+TOUCH = 3
 # A beam at its minimum range is assumed to have hit something at this share of the minimum range.
 TOUCHING = 0.4
 LOOK_AHEAD = 0.3  # s
@@ -181,7 +182,8 @@ class CollisionGuard:
         from limslam_agent.kernels.nearness import place_readings
 
         # The oldest readings are replaced.
-        seen, touched = self._seen[self._steps % MEMORY], self._touched[self._steps % TOUCH]
+        seen = self._seen[self._steps % MEMORY]
+        touched = self._touched[self._steps % TOUCH]
         place_readings(
             pose, np.asarray(ranges, dtype=float), self._robot.beam_table, TOUCHING, seen, touched
         )
@@ -198,7 +200,8 @@ class CollisionGuard:
 
         robot = self._robot
         left, right = (each * robot.max_wheel_speed for each in wheels.tolist())
-        speed, turn = 0.5 * (left + right), (right - left) / robot.axle
+        speed = 0.5 * (left + right)
+        turn = (right - left) / robot.axle
         heading = float(pose[2]) + 0.5 * turn * LOOK_AHEAD
         way = speed * LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
         nearest = robot.radius - GHOST, robot.radius + MARGIN

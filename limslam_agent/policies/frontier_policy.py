@@ -55,13 +55,15 @@ class FrontierPolicy(MapExplorer):
     """
 
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None) -> None:
-        robot, self._config = robot or RobotSpec(), config or PolicyConfig()
+        robot = robot or RobotSpec()
+        self._config = config or PolicyConfig()
         self._wall_follower = WallFollower(robot, self._config)
         super().__init__(robot)
 
     def _forget_map(self) -> None:
         # Goals (2,), m, that were looked at, and goals that could not be reached.
-        self._settled, self._failed = list[FloatArray](), list[FloatArray]()
+        self._settled = list[FloatArray]()
+        self._failed = list[FloatArray]()
 
     def _plan_anew(self) -> None:
         self._drop()
@@ -74,7 +76,8 @@ class FrontierPolicy(MapExplorer):
         self._pursued: Target | None = None
         self._goes_near = False
         self.plan = NO_PLAN
-        self._progress, self._until_plan = Progress(), 0
+        self._progress = Progress()
+        self._until_plan = 0
 
     @property
     def goal(self) -> FloatArray | None:
@@ -99,7 +102,8 @@ class FrontierPolicy(MapExplorer):
         return np.zeros(2) if self._pursued is None else self._follow(belief, self._pursued)
 
     def _follow_walls(self, belief: Belief) -> FloatArray:
-        wheels, reason = self._wall_follower.act(belief), self._wall_follower.stop_reason
+        wheels = self._wall_follower.act(belief)
+        reason = self._wall_follower.stop_reason
         if reason is not None:
             self.stop_reason = (
                 f"{reason}, and {short_reach(self.robot, belief.grid.cell)}: {NOT_EXPLORED}"
@@ -117,8 +121,10 @@ class FrontierPolicy(MapExplorer):
             self.stop_reason = self._reason(belief)
             return
         if self.goal is None or np.hypot(*(self.goal - target.goal)) >= _VIEW:
-            self._goes_near, self._progress.left = False, math.inf
-        self._pursued, self._until_plan = target, REPLAN_PERIOD
+            self._goes_near = False
+            self._progress.left = math.inf
+        self._pursued = target
+        self._until_plan = REPLAN_PERIOD
         self.plan = target.path if self._goes_near else cut_short(target.path, _VIEW)
 
     def _follow(self, belief: Belief, target: Target) -> FloatArray:
@@ -154,7 +160,9 @@ class FrontierPolicy(MapExplorer):
             self._settled.append(target.goal)
             self._drop()
         else:
-            self._goes_near, self._progress, self._until_plan = True, Progress(), 0
+            self._goes_near = True
+            self._progress = Progress()
+            self._until_plan = 0
         return np.zeros(2)
 
     def _reason(self, belief: Belief) -> str:

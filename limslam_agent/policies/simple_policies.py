@@ -32,7 +32,8 @@ _SIDE = math.radians(30.0), math.radians(120.0)
 _LOST = 0.8
 _DISTANCE = 0.25  # m, between a wall that is followed and the rim of the robot
 # Rate of turn per metre of sideways error, rad/s per m, and its largest value, rad/s.
-_GAIN, _SHARPEST = 4.0, 1.0
+_GAIN = 4.0
+_SHARPEST = 1.0
 _LITTLE_ROOM = 0.1
 _MEAN_RUN = 2.0
 _FACING = math.radians(8.0)
@@ -52,10 +53,12 @@ class Laps:
     """
 
     def __init__(self, robot: RobotSpec, corners: FloatArray, laps: int) -> None:
-        self._robot, self._corners = robot, corners
+        self._robot = robot
+        self._corners = corners
         self._remaining = laps * len(corners)
         self._next: int | None = None
-        self._progress, self._frame = Progress(), 0
+        self._progress = Progress()
+        self._frame = 0
         self.stop_reason: str | None = None
         self.plan: FloatArray = corners
 
@@ -66,9 +69,11 @@ class Laps:
             self._next = (nearest + 1) % len(self._corners)
         if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < ARRIVED:
             self._next = (self._next + 1) % len(self._corners)
-            self._remaining, self._progress = self._remaining - 1, Progress()
+            self._remaining = self._remaining - 1
+            self._progress = Progress()
         if belief.frame != self._frame:  # the corner is as near or far as the new frame says
-            self._frame, self._progress = belief.frame, Progress()
+            self._frame = belief.frame
+            self._progress = Progress()
         if self._remaining <= 0:
             self.stop_reason = "all laps driven"
         if self.stop_reason is not None:
@@ -103,7 +108,8 @@ class ReactivePolicy(MapExplorer):
         self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str
     ) -> None:
         self._config = config or PolicyConfig()
-        self._patience, self._where = patience, where
+        self._patience = patience
+        self._where = where
         super().__init__(robot or RobotSpec())
 
     def _plan_anew(self) -> None:
@@ -113,7 +119,8 @@ class ReactivePolicy(MapExplorer):
         known = int(np.count_nonzero(belief.grid.values))
         self._since += 1
         if known > self._known + _NEW_CELLS:
-            self._known, self._since = known, 0
+            self._known = known
+            self._since = 0
         if self._since > math.ceil(self._patience / self.robot.control_period):
             self.stop_reason = (
                 f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
@@ -147,7 +154,8 @@ class WallFollower(ReactivePolicy):
     def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the wall."""
         ranges = belief.ranges
-        robot, config = self.robot, self._config
+        robot = self.robot
+        config = self._config
         room = free_ahead(ranges, robot) - STOP_DISTANCE
         away = self._clearance(ranges)
         if room < 0.5 * _DISTANCE:
@@ -170,7 +178,8 @@ class WallFollower(ReactivePolicy):
         """Sideways distance (m) between the rim and the wall that the beams of the right see.
         Infinite if they see no wall.
         """
-        robot, angles = self.robot, -self.robot.beam_angles
+        robot = self.robot
+        angles = -self.robot.beam_angles
         beside = (
             (angles > _SIDE[0])
             & (angles < _SIDE[1])
@@ -207,8 +216,10 @@ class RandomPolicy(ReactivePolicy):
 
     def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of a random walk that bounces off the walls."""
-        robot, config = self.robot, self._config
-        yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - STOP_DISTANCE
+        robot = self.robot
+        config = self._config
+        yaw = float(belief.pose[2])
+        room = free_ahead(belief.ranges, robot) - STOP_DISTANCE
         self._until_turn -= 1
         if self._heading is None:
             if room > _LITTLE_ROOM and self._until_turn > 0:

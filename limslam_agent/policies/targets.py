@@ -26,10 +26,12 @@ from limslam_env.interface import RobotSpec
 
 # Distance (m) that the planner keeps between the robot's rim and occupied cells unless there is no
 # other path, and further distance that it keeps where there is enough space.
-_MARGIN, _CLEARANCE = 0.05, 0.15
+_MARGIN = 0.05
+_CLEARANCE = 0.15
 # In maps larger than this (m), paths stay so near to walls that several beams see them: the second
 # number is the share of the beams' reach.
-_LARGE, _SIGHT_SHARE = 12.0, 0.7
+_LARGE = 12.0
+_SIGHT_SHARE = 0.7
 _PART_WITHIN = 2.5
 _PART_WEIGHT = 2.0
 _AROUND = 0.7  # m: how far around a frontier cell the robot looks
@@ -137,7 +139,8 @@ def separation_cost(
     The cost is high within 2.5 m of another robot or of its goal, and where another robot is closer
     than this one, which is at ``pose`` (3,).
     """
-    total, own = np.zeros(grid.values.shape), _away(grid, pose)
+    total = np.zeros(grid.values.shape)
+    own = _away(grid, pose)
     for place in (*other_poses, *other_goals):
         total += _PART_WEIGHT * np.clip(_PART_WITHIN - _away(grid, place), 0.0, None)
     for place in other_poses:
@@ -164,7 +167,8 @@ def _away(grid: GridView, place: FloatArray) -> FloatArray:
     numbers are x and y.
     """
     rows, columns = np.ogrid[0 : grid.values.shape[0], 0 : grid.values.shape[1]]
-    x, y = grid.low[0] + (columns + 0.5) * grid.cell, grid.low[1] + (rows + 0.5) * grid.cell
+    x = grid.low[0] + (columns + 0.5) * grid.cell
+    y = grid.low[1] + (rows + 0.5) * grid.cell
     return np.asarray(np.hypot(x - place[0], y - place[1]))
 
 

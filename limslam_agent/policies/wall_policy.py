@@ -36,9 +36,11 @@ _CHECK_PERIOD = 10
 _BEYOND = math.radians(4.0)
 # Smallest and largest turn in one step of a sweep, rad. Readings after a smaller turn are not
 # collected.
-_FINEST, _COARSEST = math.radians(1.1), math.radians(5.0)
+_FINEST = math.radians(1.1)
+_COARSEST = math.radians(5.0)
 # The readings of a sweep are at most this far apart, m, and at least so many.
-_SPACING, _FEWEST_READINGS = 0.03, 14
+_SPACING = 0.03
+_FEWEST_READINGS = 14
 
 
 def explorer(robot: RobotSpec, config: AgentConfig) -> Policy:
@@ -110,9 +112,11 @@ class WallPolicy(MapExplorer):
     def _wheels(self, belief: Belief) -> FloatArray:
         is_exploring = self._frontiers.stop_reason is None
         if is_exploring:
-            wheels, reason = self._frontiers.wanted(belief), self._frontiers.stop_reason
+            wheels = self._frontiers.wanted(belief)
+            reason = self._frontiers.stop_reason
             if reason is None or reason.endswith(NOT_EXPLORED):
-                self.plan, self.stop_reason = self._frontiers.plan, reason
+                self.plan = self._frontiers.plan
+                self.stop_reason = reason
                 return wheels
         if self._look is None:
             self._choose(belief)
@@ -121,10 +125,12 @@ class WallPolicy(MapExplorer):
         look = self._look
         if look is None:
             return np.zeros(2)
-        wheels, self.plan = look.act(belief), look.path
+        wheels = look.act(belief)
+        self.plan = look.path
         if look.is_over:
             self._looks += [] if look.is_needless else [look]
-            self._look, self.plan = None, NO_PLAN
+            self._look = None
+            self.plan = NO_PLAN
         return wheels
 
     def _choose(self, belief: Belief) -> None:
@@ -198,7 +204,8 @@ def sweep_along(view: View, pose: FloatArray, robot: RobotSpec) -> Sweep:
     if wanted * _FINEST > width:
         angles = robot.beam_angles[[each.side == robot.beams[beam].side for each in robot.beams]]
     step = float(np.clip(width * len(angles) / wanted, _FINEST, _COARSEST))
-    low, high = first - float(angles.max()) - _BEYOND, first + width - float(angles.min()) + _BEYOND
+    low = first - float(angles.max()) - _BEYOND
+    high = first + width - float(angles.min()) + _BEYOND
     is_nearer = abs(wrap_angle(low - float(pose[2]))) <= abs(wrap_angle(high - float(pose[2])))
     return Sweep(low, high, step) if is_nearer else Sweep(high, low, step)
 
@@ -225,11 +232,15 @@ class Look:
     """
 
     def __init__(self, view: View, robot: RobotSpec, config: PolicyConfig) -> None:
-        self.view, self.path = view, view.path
-        self._robot, self._config = robot, config
+        self.view = view
+        self.path = view.path
+        self._robot = robot
+        self._config = config
         self.is_over = self.is_needless = self.is_stuck = False
         self._sweep: Sweep | None = None
-        self._is_pointing, self._progress, self._until_check = True, Progress(), _CHECK_PERIOD
+        self._is_pointing = True
+        self._progress = Progress()
+        self._until_check = _CHECK_PERIOD
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,). Zero if the look ends in this step."""
@@ -246,10 +257,8 @@ class Look:
         if self.is_over:
             return np.zeros(2)
         if step is None:
-            self._sweep, self._progress = (
-                sweep_along(self.view, belief.pose, self._robot),
-                Progress(),
-            )
+            self._sweep = sweep_along(self.view, belief.pose, self._robot)
+            self._progress = Progress()
             return np.zeros(2)
         wheels, left = step
         self._progress.count(left)
@@ -269,11 +278,13 @@ class Look:
     def _turn(self, heading: float, sweep: Sweep) -> FloatArray:
         """Wheel speeds (2,) to the first heading of the sweep, and from there to the last one."""
         self._progress.idle += 1
-        idle, error = self._progress.idle, wrap_angle(sweep.start - heading)
+        idle = self._progress.idle
+        error = wrap_angle(sweep.start - heading)
         if self._is_pointing and abs(error) > _POINTED and idle <= 3 * PATIENCE:
             return turn_by(error, self._robot)
         if self._is_pointing:
-            self._is_pointing, self._progress = False, Progress()
+            self._is_pointing = False
+            self._progress = Progress()
         elif (
             sweep.left(heading) < _POINTED
             or idle > 3.0 * abs(sweep.end - sweep.start) / sweep.step + PATIENCE

@@ -32,17 +32,20 @@ _SHORTEST = 0.15  # m of border without a wall that the robot looks at
 _SAME_FACE = 0.12
 # Cosine of the least steep angle at which a beam may meet the middle of a part, and the other faces
 # of the part.
-_STEEP, _GRAZING = 0.6, 0.3
+_STEEP = 0.6
+_GRAZING = 0.3
 # Costs (m of path) of one metre besides the best distance, and of a beam that meets the wall at a
 # slant.
-_OFF_DISTANCE, _SLANT = 2.0, 1.0
+_OFF_DISTANCE = 2.0
+_SLANT = 1.0
 # Distance (m) between the robot's rim and the nearest occupied cell at a place where it turns.
 _ROOM = 0.03
 # Farthest share of the beams' reach that is used.
 _FAR_SHARE = 0.7
 # Number of pairs of a place and a face that are tested for a free sight at once, and number of
 # points of a sight.
-_BATCH, _SIGHT_POINTS = 256, 16
+_BATCH = 256
+_SIGHT_POINTS = 16
 # Number of views of one face that are computed before the face is left alone.
 _MOST_VIEWS = 3
 
@@ -107,7 +110,8 @@ def next_view(belief: Belief, border: Faces, robot: RobotSpec) -> View | None:
     """The cheapest view of a part of a border that is long enough. None if no place shows one."""
     if not len(border):
         return None
-    grid, ways = belief.grid, _ways(belief, robot)
+    grid = belief.grid
+    ways = _ways(belief, robot)
     cells = np.argwhere(np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius + _ROOM))
     stands = grid.centres(cells)
     separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals)
@@ -168,7 +172,9 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     pairs = cKDTree(stands).sparse_distance_matrix(
         cKDTree(faces.middles), farthest, output_type="ndarray"
     )
-    place, face, away = pairs["i"], pairs["j"], pairs["v"]
+    place = pairs["i"]
+    face = pairs["j"]
+    away = pairs["v"]
     offset = stands[place] - faces.middles[face]
     steepness = np.sum(offset * faces.normals[face], axis=1) / np.maximum(away, 1e-9)
     price = (

@@ -48,9 +48,12 @@ class WayHome(MapExplorer):
         *,
         always: bool = False,
     ) -> None:
-        self._policy, self._config, self._always = policy, config, always
+        self._policy = policy
+        self._config = config
+        self._always = always
         self._home = np.zeros(2) if home is None else np.asarray(home, dtype=float)
-        self.is_going_home, self._why = False, "asked to drive home"
+        self.is_going_home = False
+        self._why = "asked to drive home"
         super().__init__(robot)
 
     def go_home(self) -> None:
@@ -59,19 +62,26 @@ class WayHome(MapExplorer):
 
     def _plan_anew(self) -> None:
         self._way: FloatArray | None = None  # home (k, 2), m
-        self._progress, self._longest, self._until_plan = Progress(), 0, 0
+        self._progress = Progress()
+        self._longest = 0
+        self._until_plan = 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
         if self.is_going_home and belief.status.level != "lost":
             return self._drive(belief)
-        wheels, reason = self._policy.act(belief), self._policy.stop_reason
-        self.plan, self._way, self._longest = self._policy.plan, None, 0
+        wheels = self._policy.act(belief)
+        reason = self._policy.stop_reason
+        self.plan = self._policy.plan
+        self._way = None
+        self._longest = 0
         if reason is not None and self.is_going_home:
             self.stop_reason = (
                 f"{self._why}; the robot is lost, and does not know the way back to the start"
             )
         elif reason is not None and self._always:
-            self._why, self.is_going_home, self.plan = reason, True, NO_PLAN
+            self._why = reason
+            self.is_going_home = True
+            self.plan = NO_PLAN
         else:
             self.stop_reason = reason
         return wheels
@@ -79,10 +89,12 @@ class WayHome(MapExplorer):
     def _drive(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the path home."""
         if self._way is None or self._until_plan <= 0:
-            path, self._until_plan = path_to(belief, self._home, self.robot), REPLAN_PERIOD
+            path = path_to(belief, self._home, self.robot)
+            self._until_plan = REPLAN_PERIOD
             way = self._way if path is None else np.vstack((path, self._home))
             if way is not None and len(way) > self._longest + _LONGER:
-                self._longest, self._progress = len(way), Progress()
+                self._longest = len(way)
+                self._progress = Progress()
             self._way = way
         if self._way is None:
             self.stop_reason = f"{self._why}; the map shows no way back to the start"

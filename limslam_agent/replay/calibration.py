@@ -154,7 +154,8 @@ class _Path:
     def __init__(self, time: FloatArray, odometry: FloatArray) -> None:
         # Logs step back in time here and there.
         order = np.argsort(time, kind="stable")
-        self.time, self._odometry = time[order], odometry[order]
+        self.time = time[order]
+        self._odometry = odometry[order]
         self._steps = se2.between(self._odometry[:-1], self._odometry[1:])
         length = np.hypot(self._steps[:, 0], self._steps[:, 1])
         self.driven = _sums(length)
@@ -173,7 +174,8 @@ class _Path:
         right.
         """
         heading = (self.heading + turn_per_metre * self.signed)[:-1]
-        cos, sin = np.cos(heading), np.sin(heading)
+        cos = np.cos(heading)
+        sin = np.sin(heading)
         x = _sums(cos * self._steps[:, 0] - sin * self._steps[:, 1])
         y = _sums(sin * self._steps[:, 0] + cos * self._steps[:, 1])
         return np.hypot(self.between(x, relations), self.between(y, relations))

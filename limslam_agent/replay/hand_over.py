@@ -61,8 +61,11 @@ class LogEstimate:
     _graph: "OnlineGraph | None" = None
 
     def __init__(self, mapper: Mapper, log: RecordedLog) -> None:
-        self._mapper, self._log = mapper, log
-        self._number, self._odometry, self._refused = -1, log.start_pose, 0
+        self._mapper = mapper
+        self._log = log
+        self._number = -1
+        self._odometry = log.start_pose
+        self._refused = 0
         self._breaks = {each.row: each for each in log.breaks}
         self._passed: OdometryBreak | None = None
         self.handed_over: int | None = None
@@ -101,10 +104,14 @@ class LogEstimate:
 
     def step(self, observation: Observation) -> Estimate:
         """Process the next event, by the filter as long as it is not lost, and by the graph."""
-        mapper, graph, spent, job = self._mapper, self._graph, 0.0, 0.0
+        mapper = self._mapper
+        graph = self._graph
+        spent = 0.0
+        job = 0.0
         if self.handed_over is None:
             mapper.step(observation)
-            self._odometry, spent = np.asarray(mapper.odometry[0]), mapper.slam_ms
+            self._odometry = np.asarray(mapper.odometry[0])
+            spent = mapper.slam_ms
         else:
             motion = motion_of(
                 observation, mapper.robot, mapper.config.noise, mapper.config.odometry
@@ -117,7 +124,9 @@ class LogEstimate:
         passed = self._breaks.get(self._number)
         self._passed = passed or self._passed
         if graph is not None:
-            begin, data, number = time.perf_counter(), self._data, self._number
+            begin = time.perf_counter()
+            data = self._data
+            number = self._number
             graph.step(
                 float(data.time[number]),
                 self._odometry,
@@ -132,9 +141,11 @@ class LogEstimate:
             if self.handed_over is None and is_lost:
                 self.handed_over = number
         if graph is None or self.handed_over is None:
-            pose, covariance = mapper.slam.pose, mapper.covariances[0]
+            pose = mapper.slam.pose
+            covariance = mapper.covariances[0]
         else:
-            pose, covariance = graph.pose, graph.covariance
+            pose = graph.pose
+            covariance = graph.covariance
         return Estimate(
             pose, covariance, self._odometry, LEVELS.index(self.status.level), spent, job
         )

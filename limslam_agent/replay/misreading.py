@@ -29,17 +29,22 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # m of driving on either side of an event that are compared, and the least between two events, so
 # that stretches overlap; the most events; and the fewest that say something
-_STRETCH, _APART = 0.8, 0.4
-_MOST_EVENTS, _FEWEST_EVENTS = 60, 6
+_STRETCH = 0.8
+_APART = 0.4
+_MOST_EVENTS = 60
+_FEWEST_EVENTS = 6
 _MOST_RAYS = 150  # of each side
 # m: a ray meets a point that lies within this beside it, and ends there if its length differs by
 # less than the tolerance
-_BESIDE, _TOLERANCE = 0.05, 0.12
+_BESIDE = 0.05
+_TOLERANCE = 0.12
 _USUAL_RANGE = 1.0  # m, of a reading, whose end a turn moves
 # Another reading is better if its mean score leads by this, and by so many standard errors of the
 # difference. It is certain with the larger numbers.
-_LEAST_LEAD, _LEAST_SIGMAS = 0.08, 2.2
-_CERTAIN_LEAD, _CERTAIN_SIGMAS = 0.15, 5.0
+_LEAST_LEAD = 0.08
+_LEAST_SIGMAS = 2.2
+_CERTAIN_LEAD = 0.15
+_CERTAIN_SIGMAS = 5.0
 
 _SIDES = (Role.LEFT, Role.RIGHT)
 _FORWARD = {Role.SPEED, Role.DISTANCE}
@@ -110,7 +115,8 @@ class _Wiring:
         is_signs = not (has_wheels or by_motion[0, 1] or by_motion[1, 0])
         names = []
         for name, column in zip(header, columns, strict=True):
-            true_name, factor = name, 1.0
+            true_name = name
+            factor = 1.0
             if column.role in _SIDES:
                 place = _SIDES.index(column.role)
                 factors = self.left[place], self.right[place]
@@ -330,7 +336,8 @@ class _Rays(NamedTuple):
     @property
     def ends(self) -> FloatArray:
         """Where surfaces were met (h, 2), m."""
-        starts, lengths = self.starts[self.is_hit], self.lengths[self.is_hit]
+        starts = self.starts[self.is_hit]
+        lengths = self.lengths[self.is_hit]
         directions = np.column_stack((np.cos(starts[:, 2]), np.sin(starts[:, 2])))
         return np.asarray(starts[:, :2] + lengths[:, None] * directions)
 
@@ -376,7 +383,8 @@ def _rays(path: FloatArray, log: RecordedLog, events: IntArray) -> _Rays:
     is_usable = log.has_scan[events, None] & (ranges > robot.too_near)
     row, beam = np.nonzero(is_usable)
     chosen = np.linspace(0, len(row) - 1, min(len(row), _MOST_RAYS)).astype(np.int64)
-    row, beam = row[chosen], beam[chosen]
+    row = row[chosen]
+    beam = beam[chosen]
     mounted = np.column_stack((robot.beam_origins, robot.beam_angles))
     lengths = ranges[row, beam]
     return _Rays(
@@ -392,7 +400,8 @@ def _met(rays: _Rays, points: FloatArray) -> tuple[int, int]:
     if not len(points) or not len(rays.lengths):
         return 0, 0
     x, y = np.moveaxis(points - rays.starts[:, None, :2], -1, 0)
-    cos, sin = np.cos(rays.starts[:, 2:]), np.sin(rays.starts[:, 2:])
+    cos = np.cos(rays.starts[:, 2:])
+    sin = np.sin(rays.starts[:, 2:])
     along = cos * x + sin * y
     is_met = (np.abs(cos * y - sin * x) < _BESIDE) & (along > 0.0)
     beyond = rays.lengths - np.where(is_met, along, np.inf).min(axis=1)

@@ -15,7 +15,8 @@ from limslam_env.geometry import FloatArray, se2
 # Share of readings that saw nothing, above which the ranges are probably not in metres
 _MOSTLY_NOTHING = 0.95
 # s: median times between events beyond them are probably not in seconds
-_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-3, 10.0
+_SHORTEST_PERIOD = 1e-3
+_LONGEST_PERIOD = 10.0
 # of the longest range: a smaller largest reading was probably cut off by the sensor itself
 _CLEARLY_BELOW = 0.85
 # Up to this share of readings may see nothing without a reason that all of them have.
@@ -136,12 +137,12 @@ def _about_beams(log: RecordedLog) -> list[str]:
     if _spread(log) < _LEAST_SPREAD:
         return []
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
-    lowest, highest = (
-        np.fmin.reduce(readings),
-        np.fmax.reduce(readings),
-    )  # nan where a beam has no reading
+    # nan where a beam has no reading
+    lowest = np.fmin.reduce(readings)
+    highest = np.fmax.reduce(readings)
     counts = (~np.isnan(readings)).sum(axis=0)
-    is_dead, saw_nothing = highest == lowest, lowest >= log.robot.too_far
+    is_dead = highest == lowest
+    saw_nothing = lowest >= log.robot.too_far
     others = readings[:, ~saw_nothing]
     if (
         np.count_nonzero(others >= log.robot.too_far[~saw_nothing])
@@ -216,7 +217,8 @@ def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
                 "columns?"
             )
         ]
-    speed, most = max(left, right) / max(float(np.ptp(log.time)), 1e-9), log.robot.max_wheel_speed
+    speed = max(left, right) / max(float(np.ptp(log.time)), 1e-9)
+    most = log.robot.max_wheel_speed
     if speed > _CLEARLY_FASTER * most:
         text = (
             f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is "

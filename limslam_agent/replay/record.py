@@ -55,7 +55,8 @@ class SelfCalibration:
                 "self_calibration_yaw_drift_deg_per_s": math.degrees(self.factors.drift),
                 "self_calibration_yaw_drift_std_deg_per_s": math.degrees(stds.drift),
             }
-        turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
+        turn = np.array([-1.0, 1.0, 0.0]) / self.axle
+        size = np.array([0.5, 0.5, 0.0])
         values = np.array(self.factors)
         return {
             "self_calibration_turn_deg_per_m": math.degrees(turn @ values),

@@ -98,7 +98,8 @@ def _smoothed(
 
     ``filtered`` has the associations of the filter, and the landmarks that it merged.
     """
-    log, config = replay.log, replay.config
+    log = replay.log
+    config = replay.config
     if log.odometry is not None and config.smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_graph
 
@@ -152,7 +153,8 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
 
 def _hand_over(replay: Replay) -> dict[str, float]:
     """When the online graph took over from the filter, for ``result.json``; empty if it did not."""
-    time, event = replay.log.time, replay.handed_over
+    time = replay.log.time
+    event = replay.handed_over
     return {} if event is None else {"online_graph_from_s": float(time[event] - time[0])}
 
 
@@ -173,7 +175,8 @@ def write_replay(
     scores
         Metrics of the trajectory.
     """
-    log, smoothed = replay.log, replay.smoothed
+    log = replay.log
+    smoothed = replay.smoothed
     _write_trajectories(folder, replay)
     if smoothed is not None and smoothed.loops is not None:
         write_json(folder / "loops.json", smoothed.loops)
@@ -239,7 +242,9 @@ def _write_trajectories(folder: Path, replay: Replay) -> None:
 
 def _status_scores(replay: Replay) -> dict[str, Any]:
     """The status while driving and at the end, for ``result.json``."""
-    time, levels, smoothed = replay.log.time, replay.levels[:, None], replay.smoothed
+    time = replay.log.time
+    levels = replay.levels[:, None]
+    smoothed = replay.smoothed
     scores = status_scores(time, levels, replay.status)
     if smoothed is not None and smoothed.status is not None:
         scores |= final_status_scores(smoothed.status, replay.status, time, levels)
@@ -252,7 +257,8 @@ def _draw_picture(folder: Path, replay: Replay, title: str, status: Status) -> N
     """
     from limslam_agent.output.drawing import MapPicture, draw_map
 
-    true, smoothed = replay.log.true_pose, replay.smoothed
+    true = replay.log.true_pose
+    smoothed = replay.smoothed
     path = replay.estimated if smoothed is None else smoothed.poses
     picture = MapPicture(
         title,

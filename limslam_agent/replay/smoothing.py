@@ -95,7 +95,8 @@ def trusted_path(
     As long as it is doubtful, there are more rounds, and the path is taken that is off least
     likely, which may be that of odometry.
     """
-    known, found = (data.time - data.time[0], config, (data.max_range, data.range_std)), []
+    known = (data.time - data.time[0], config, (data.max_range, data.range_std))
+    found = []
     for path in islice(rounds(data, start, config, report), 1 + _MORE_ROUNDS):
         found.append((path, path_signals(path, *known)))
         if found[-1][1].status.level == "ok":
@@ -175,8 +176,10 @@ def smoothed_by_lines(
     Replay
         The replay as it was if there is nothing to smooth.
     """
-    log, begin = replay.log, time.process_time()
-    places, placed = replay.places, replay.places.placed.stop
+    log = replay.log
+    begin = time.process_time()
+    places = replay.places
+    placed = replay.places.placed.stop
     poses, covariances = revised(
         replay.estimated[:, None], replay.covariances[:, None], places.revisions
     )

@@ -32,7 +32,8 @@ from limslam_env.geometry import FloatArray, IntArray
 
 # Shares of the points that other visits contradict, of all that they have seen, in a right path
 # and in a wrong one: readings beside edges and thin obstacles are contradicted in a right path, too
-_RIGHT, _WRONG = 0.06, 0.135
+_RIGHT = 0.06
+_WRONG = 0.135
 _LEAST_TIES = 2  # loops that span a break of odometry: a single one may be wrong
 
 
@@ -77,7 +78,8 @@ class PathSignals:
         """By the chance that the path is off, and whether its parts are tied together."""
         far = chance_path_off(self.covariance)
         mistaken = chance_mistaken(self.evidence)
-        chance, reasons = either(far, mistaken), []
+        chance = either(far, mistaken)
+        reasons = []
         if self.untied:
             times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
             reasons.append(
@@ -146,7 +148,8 @@ def path_signals(
     seam
         The key pose at which a second log begins; zero if there is none.
     """
-    keys, trajectory = found.keys, found.trajectory
+    keys = found.keys
+    trajectory = found.trajectory
     visits = visit_counts(keys, trajectory, config, sensor[0])
     times = time[keys.first_event]
     loose = longest_loose(keys.key_travel, found.relations[0])
@@ -181,7 +184,8 @@ def longest_loose(travel: FloatArray, ends: IntArray) -> tuple[int, int]:
     ends
         Indices (f, 2) of the poses that the loops join.
     """
-    begin, best = 0, (0, 0)
+    begin = 0
+    best = (0, 0)
     for low, high in [*sorted(map(sorted, ends.tolist())), (len(travel) - 1, len(travel) - 1)]:
         if travel[low] - travel[begin] > travel[best[1]] - travel[best[0]]:
             best = begin, low

@@ -80,7 +80,8 @@ def is_policy(actor: Any) -> bool:
     ValueError
         If a policy is incomplete, or if nothing tells which of both the object is.
     """
-    name, argument = type(actor).__name__, first_argument(getattr(actor, "act", None))
+    name = type(actor).__name__
+    argument = first_argument(getattr(actor, "act", None))
     missing = [part for part in ("stop_reason", "plan") if not hasattr(actor, part)]
     if argument == "belief":
         if missing:

@@ -35,7 +35,8 @@ class Driver:
     """
 
     def __init__(self, make: Callable[[int, int], Any], *, answers_all: bool) -> None:
-        self._make, self._answers_all = make, answers_all
+        self._make = make
+        self._answers_all = answers_all
         self._actor = make(1, 0)
 
     @property
@@ -103,7 +104,8 @@ def driver_of(
     """
     if isinstance(actor, type):
         raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
-    body, config = robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise)
+    body = robot or RobotSpec()
+    config = preset(preset_name or DEFAULT_PRESET, noise)
     if isinstance(actor, str):
 
         def named(robots: int, seed: int) -> LimSlamTeam:
@@ -184,7 +186,8 @@ class ActorPolicy:
     """
 
     def __init__(self, actor: Any) -> None:
-        self._actor, self._driver = actor, driver_of(actor, is_team=False)
+        self._actor = actor
+        self._driver = driver_of(actor, is_team=False)
         self._observation: Observation = {}
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN

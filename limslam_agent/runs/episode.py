@@ -191,10 +191,8 @@ def _in_one_frame(columns: dict[str, Any], mapper: Mapper) -> dict[str, Any]:
         columns["covariances"][own] = turned(columns["covariances"][own], mapper.prior_frame[2])
     if earlier is not None:
         known = slice(len(earlier.poses)), 1
-        columns["estimated"][known], columns["odometry"][known] = (
-            earlier.poses[:, 1],
-            earlier.odometry[:, 1],
-        )
+        columns["estimated"][known] = earlier.poses[:, 1]
+        columns["odometry"][known] = earlier.odometry[:, 1]
         columns["covariances"][known] = earlier.covariances[:, 1]
     return columns
 
@@ -240,7 +238,8 @@ def _decide(
     team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]
 ) -> _Row:
     """Let the robots observe and choose their actions; the record of the step."""
-    truth, mapper = infos[0], team.mapper
+    truth = infos[0]
+    mapper = team.mapper
     for policy, observation in zip(team.policies, observations, strict=True):
         # What no belief holds: the true pose for a tour, and the readings for actors.
         if isinstance(policy, Tour):

@@ -143,7 +143,8 @@ class _Robots:
     """A single-robot or a parallel environment, with all robots by their names."""
 
     def __init__(self, env: Any, *, is_team: bool) -> None:
-        self._env, self._is_team = env, is_team
+        self._env = env
+        self._is_team = is_team
 
     def reset(self, seed: int) -> tuple[dict[str, Any], _Infos]:
         """Observations and true infos of the robots."""
@@ -237,12 +238,10 @@ def _drive(
     """
     observations, infos = robots.reset(seed)
     _begin(driver, infos, seed)
-    truth, beliefs, is_over, is_late = (
-        list[_Infos](),
-        list[tuple[FloatArray, FloatArray, FloatArray]](),
-        False,
-        False,
-    )
+    truth = list[_Infos]()
+    beliefs = list[tuple[FloatArray, FloatArray, FloatArray]]()
+    is_over = False
+    is_late = False
     while True:
         # The last observation only updates the estimate; its action is not executed.
         actions = driver.act(observations)

@@ -40,7 +40,8 @@ SAME = 2e-6
 digits.
 """
 
-_LOOPS, _GRAPH = "loops.json", "graph.json"
+_LOOPS = "loops.json"
+_GRAPH = "graph.json"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,8 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
     if readings is None or not run.true:
         missing = LOG if readings is None else "trajectory_true.tum"
         raise FolderError(f"{run.folder}: there is no {missing}, so the run cannot be inspected")
-    world, true = load_world(config.world), np.array(run.true).swapaxes(0, 1)
+    world = load_world(config.world)
+    true = np.array(run.true).swapaxes(0, 1)
     # A tour, which knows the true pose, cannot decide from the log alone, and the code in a file is
     # not executed again.
     is_repeated = not (config.policy == TOUR or is_file_policy(config.policy))
@@ -115,7 +117,8 @@ def inspect_log(
         )
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = float("inf")  # as in a replay
-    recorder, handed_over = Recorder(mapper, len(log)), len(log)
+    recorder = Recorder(mapper, len(log))
+    handed_over = len(log)
     for row, observation in enumerate(log.observations()):
         mapper.step(observation)
         if is_handed_over(log, config, mapper.statuses[0]):
@@ -152,7 +155,8 @@ def _inspection(
     end: int | None = None,
 ) -> Inspection:
     """The inspection of a run whose folder has the poses of the filter before the row ``end``."""
-    arrays, rows = recorder.arrays(), np.array(recorder.frame_rows)
+    arrays = recorder.arrays()
+    rows = np.array(recorder.frame_rows)
     meta = recorder.meta()
     if edges is not None:
         arrays["edges"] = edges.astype(np.float32)

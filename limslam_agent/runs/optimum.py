@@ -18,7 +18,9 @@ from limslam_agent.slam.line_graph.reassociation import solve_again, solve_label
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
-_CONVERGED, _MOST_SOLUTIONS = 1e-5, 10  # m or rad
+# m or rad
+_CONVERGED = 1e-5
+_MOST_SOLUTIONS = 10
 
 
 def offline_optimum(

@@ -44,7 +44,9 @@ class Tour:
     def __init__(
         self, robot: RobotSpec, planner: Callable[[FloatArray], FloatArray], tours: int = 1
     ) -> None:
-        self._robot, self._planner, self._tours = robot, planner, tours
+        self._robot = robot
+        self._planner = planner
+        self._tours = tours
         self._pose = np.zeros(3)
         self.stop_reason: str | None = None
         self.plan: FloatArray = NO_PLAN
@@ -65,7 +67,8 @@ class Tour:
         if self.stop_reason is not None:
             return np.zeros(2)
         period, (drive, turn) = self._robot.control_period, TOUR_SPEEDS
-        error, distance = bearing_of(self._pose, self.plan[0]), self._distance()
+        error = bearing_of(self._pose, self.plan[0])
+        distance = self._distance()
         # An error that one step can correct is corrected while driving. A larger error is corrected
         # on the spot.
         speed = min(drive, distance / period) if abs(error) <= turn * period else 0.0

@@ -134,7 +134,8 @@ class Episode:
 
         Only the associations of the consistent estimator can be smoothed.
         """
-        agent, settings = self.config.agent, self.config.agent.run_smoothing
+        agent = self.config.agent
+        settings = self.config.agent.run_smoothing
         if self.is_interrupted:
             return None
         # The smoother does not know the lines of an earlier map.
@@ -179,7 +180,8 @@ class Episode:
         """The map by all that is known at the end: drawn from the smoothed poses, if the run was
         smoothed.
         """
-        smoothed, config = self.smoothed, self.config
+        smoothed = self.smoothed
+        config = self.config
         if smoothed is None:
             return self.online_map
         ranges = as_readings(smoothed.ranges, config.robot.min_ranges, config.robot.max_ranges)

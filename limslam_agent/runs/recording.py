@@ -30,7 +30,8 @@ class FilmedRun:
     """
 
     def __init__(self, film: Film) -> None:
-        self._film, self._words = film, ""
+        self._film = film
+        self._words = ""
         self._shown = 0  # events of the recording
         self._hough: HoughView | None = None
 
@@ -54,9 +55,12 @@ class FilmedRun:
         self._film.finish(self._words)
 
     def _frame(self, recorder: Recorder, team: LimSlamTeam, time: float) -> BeliefFrame:
-        slam, snapshot = team.slam, team.snapshot()
-        marks, grid = slam.all_landmarks, snapshot.grid
-        events, self._shown = recorder.log.events[self._shown :], len(recorder.log.events)
+        slam = team.slam
+        snapshot = team.snapshot()
+        marks = slam.all_landmarks
+        grid = snapshot.grid
+        events = recorder.log.events[self._shown :]
+        self._shown = len(recorder.log.events)
         for event in events:
             if event["kind"] == "hough" and event["side"] != "none":
                 self._hough = HoughView.of(event, event["row"] * slam.robot.control_period)

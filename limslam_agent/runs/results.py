@@ -93,14 +93,13 @@ def score(episode: Episode) -> dict[str, Any]:
     robots.
     """
     config = episode.config
-    events, closed = (
-        _events(episode),
-        [(closure.older, closure.younger) for closure in episode.closures],
-    )
+    events = _events(episode)
+    closed = [(closure.older, closure.younger) for closure in episode.closures]
     placed = slice(
         episode.placed_robots
     )  # the poses of a robot that was not placed are in a frame of its own
-    known, online = episode.placed_steps, None if episode.smoothed is None else episode.online_map
+    known = episode.placed_steps
+    online = None if episode.smoothed is None else episode.online_map
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = over_robots(trajectory_scores, *(rows[:, placed] for rows in columns))
     has_limit = config.limit and not episode.is_interrupted
@@ -194,7 +193,8 @@ def map_scores(
     If the map is a smoothed one, ``online`` is what the robots knew when the run stopped, with the
     true poses of its own steps. The metrics of its walls end in ``_online``.
     """
-    segments, grid = final.segments, final.grid
+    segments = final.segments
+    grid = final.grid
     claimed = grid.centres(np.argwhere(grid.free))
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
     before = (
@@ -228,7 +228,8 @@ def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, flo
 
     Both are None if there is no optimum, because no wall has enough readings.
     """
-    config, true = episode.config, episode.true
+    config = episode.config
+    true = episode.true
     limit = offline_optimum(
         config.robot,
         config.agent.noise,
@@ -252,7 +253,8 @@ def final_status(episode: Episode) -> dict[str, Any]:
     """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there
     are none.
     """
-    online_statuses, smoothed = episode.snapshot.statuses, episode.smoothed
+    online_statuses = episode.snapshot.statuses
+    smoothed = episode.smoothed
     if smoothed is None:
         return {}
     places = episode.places
@@ -359,7 +361,8 @@ def _config(episode: Episode) -> dict[str, Any]:
 
 
 def _record(episode: Episode) -> dict[str, Any]:
-    config, sensor = episode.config, episode.sensor
+    config = episode.config
+    sensor = episode.sensor
     specified = RangeSensor(config.agent.range_std, cone=config.robot.cone)
     record = record_of(
         episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1))
@@ -409,7 +412,8 @@ def title_of(config: RunConfig) -> str:
 def _draw(path: Path, episode: Episode) -> None:
     from limslam_agent.output.drawing import MapPicture, draw_map
 
-    title, final = title_of(episode.config), episode.final_map
+    title = title_of(episode.config)
+    final = episode.final_map
     mapped, estimated, odometry, true = (
         [poses[:, number, :2] for number in range(episode.placed_robots)]
         for poses in (final.poses, episode.estimated, episode.odometry, episode.true)

@@ -13,7 +13,8 @@ import numpy as np
 
 from limslam_env.geometry import FloatArray
 
-FAR, TURNED = 0.5, math.radians(10.0)
+FAR = 0.5
+TURNED = math.radians(10.0)
 """A pose is off if it is farther from the true one than this, m, or turned by more than this,
 rad.
 """
@@ -34,7 +35,8 @@ def chance_off(covariances: FloatArray) -> FloatArray:
     in a uniformly distributed direction p, is farther off than ``FAR`` if r^2 exceeds FAR^2 / (a
     cos^2 p + b sin^2 p). So the chance is the mean of exp(-r^2 / 2) over all directions.
     """
-    x, y = covariances[..., 0, 0], covariances[..., 1, 1]
+    x = covariances[..., 0, 0]
+    y = covariances[..., 1, 1]
     apart = np.hypot(0.5 * (x - y), covariances[..., 0, 1])[..., None]
     variances = 0.5 * (x + y)[..., None] + apart * np.cos(_ANGLES)
     far = np.exp(-0.5 * FAR**2 / np.maximum(variances, _LEAST)).mean(axis=-1)

@@ -27,10 +27,9 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
 
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
-_RIGHT, _WRONG = (
-    0.005,
-    0.12,
-)  # shares of rays that contradict a map at the right place, and at a wrong one
+# shares of rays that contradict a map at the right place, and at a wrong one
+_RIGHT = 0.005
+_WRONG = 0.12
 _PLACE = 0.3  # m: contradictions less far apart may have one cause
 _WALL_COLUMNS = 5
 _SLIPS = np.radians(np.arange(-28.0, 29.0, 4.0))  # turns that the wheels may miss, rad
@@ -50,7 +49,8 @@ its motion.
 Two poses that are farther apart are different places.
 """
 
-DOUBTED, DECIDED = math.log(100.0), math.log(1000.0)
+DOUBTED = math.log(100.0)
+DECIDED = math.log(1000.0)
 """Logarithms of likelihood ratios that raise a doubt, and that decide.
 
 By Wald's bound, a test that stops there is wrong in at most one of 100, or of 1000 cases.
@@ -105,10 +105,8 @@ class Explained(NamedTuple):
         Rays that contradict the map at one place, at a wall that they pass or where they end, count
         once: they may have one cause, as a short wall that is missing.
         """
-        test, against = (
-            np.where(self.tested, contradiction_test(0, 1), 0.0),
-            np.flatnonzero(self.against),
-        )
+        test = np.where(self.tested, contradiction_test(0, 1), 0.0)
+        against = np.flatnonzero(self.against)
         directions = rays[against, RAY_TO_X:RAY_LENGTH]
         points = rays[against, RAY_X:RAY_TO_X] + self.against[against, None] * directions
         _, first = np.unique(np.floor(points / _PLACE), axis=0, return_index=True)
@@ -171,7 +169,9 @@ class KnownMap:
         *,
         free_space_counts: bool = True,
     ) -> None:
-        self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
+        self.segments = np.ascontiguousarray(segments)
+        self.grid = grid
+        self.sensor = sensor
         self._free_space_counts = free_space_counts
 
     @property
@@ -194,7 +194,8 @@ class KnownMap:
         """How well rays (n, 7) fit the map, for poses (m, 3) of their frame."""
         from limslam_agent.kernels.rays import weigh_poses
 
-        evidence, counts = np.empty(len(poses)), np.empty((len(poses), 2), dtype=np.int64)
+        evidence = np.empty(len(poses))
+        counts = np.empty((len(poses), 2), dtype=np.int64)
         weigh_poses(
             np.ascontiguousarray(poses),
             rays,
@@ -218,12 +219,11 @@ class KnownMap:
         """
         from limslam_agent.kernels.rays import weigh_rays
 
-        near, turning = self._variance(rays), 0.0
+        near = self._variance(rays)
+        turning = 0.0
         if covariance is not None:
-            near, turning = (
-                near + float(covariance[0, 0] + covariance[1, 1]),
-                float(covariance[2, 2]),
-            )
+            near = near + float(covariance[0, 0] + covariance[1, 1])
+            turning = float(covariance[2, 2])
         found = np.empty((len(rays), 3))
         weigh_rays(
             rays, self.segments, *self._as_arrays, (near, turning), float(self.sensor.cone), found
@@ -234,7 +234,8 @@ class KnownMap:
         """Poses (m, 3), moved so that the ends of the rays (n, 7) lie on walls."""
         from limslam_agent.kernels.rays import refine_poses
 
-        ended, walls = rays[have_ended(rays)], np.empty((len(self.segments), _WALL_COLUMNS))
+        ended = rays[have_ended(rays)]
+        walls = np.empty((len(self.segments), _WALL_COLUMNS))
         # Poses of the middle of the rays, which a turn leaves where it is.
         middle = np.array([*rays[:, RAY_X:RAY_TO_X].mean(axis=0), 0.0])
         ended[:, RAY_X:RAY_TO_X] -= middle[:2]
@@ -301,7 +302,8 @@ def drift_fit(
     if not len(rays):
         return NearFit(known.fit_here(rays), 0.0)
     middle = rays[:, :2].mean(axis=0)
-    about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
+    about = np.array([*middle, 0.0])
+    back = np.array([*-middle, 0.0])
     spread = _OWN**2 * covariance + MATCH_COVARIANCE
     variances, axes = np.linalg.eigh(spread)
     likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T

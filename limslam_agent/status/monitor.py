@@ -31,10 +31,13 @@ over the circle.
 # estimator extracts lines in the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn
 # by one radian counts like ``TURN_LENGTH``, m. The readings of a robot
 # that stands are compared when there are ``STEPS`` new ones: no comparison uses more.
-SPACING, TURN_LENGTH = 0.10, 0.40
+SPACING = 0.10
+TURN_LENGTH = 0.40
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
-POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
+POSITION_GROWTH = 2.0
+POSITION_LIMIT = 10.0
+_HEADING_GROWTH = 1.0
 _MAX_TURN = 0.5  # rad: so it is if the standard deviation of the turn in a step is larger
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
 
@@ -103,16 +106,20 @@ class StatusMonitor:
     """
 
     def __init__(self, robot: RobotSpec, sensor: RangeSensor) -> None:
-        self._robot, self.sensor = robot, sensor
-        self._step, self._place, self._checked = -1, 0.0, -math.inf
-        self._sights, self._first = (
-            list[Sight](),
-            0,
-        )  # the latest steps, and the number of the first of them
+        self._robot = robot
+        self.sensor = sensor
+        self._step = -1
+        self._place = 0.0
+        self._checked = -math.inf
+        # the latest steps, and the number of the first of them
+        self._sights = list[Sight]()
+        self._first = 0
         self._changes = SuddenChanges(robot)
         self._steady = np.zeros((STEADY, len(robot.beams)))
         self._steady[READING] = math.nan
-        self.jump, self._driven, self._is_unknown = 0.0, 0.0, False
+        self.jump = 0.0
+        self._driven = 0.0
+        self._is_unknown = False
         self.loss: Loss | None = None
         self.broken: int | None = None
         self.status = self.by_readings = Status()
@@ -144,7 +151,8 @@ class StatusMonitor:
         is_jump = distance > _MAX_JUMP or self._is_unknown
         if is_jump:
             distance = max(distance, unknown)
-            self.jump, distance = self.jump + distance, 0.0
+            self.jump = self.jump + distance
+            distance = 0.0
         self._step += 1
         self._sights.append(sight)
         # No wall is read with so little noise.
@@ -197,10 +205,8 @@ class StatusMonitor:
 
         There may be nothing to see all around, so a beam that sees nothing must contradict the map.
         """
-        steady, turned = (
-            self._steady[READING],
-            self._steady[MOST_TURNED] - self._steady[LEAST_TURNED],
-        )
+        steady = self._steady[READING]
+        turned = self._steady[MOST_TURNED] - self._steady[LEAST_TURNED]
         is_steady = np.isfinite(steady) & (turned > 0.5 * math.pi)
         is_steady[list(self.sensor.broken)] = False
         if is_steady.all():
@@ -224,7 +230,8 @@ class StatusMonitor:
 
     def _judge(self, covariance: FloatArray) -> None:
         """Find the status, for a pose with a covariance (3, 3)."""
-        before, self.loss = self.loss, self._loss()
+        before = self.loss
+        self.loss = self._loss()
         if self.loss is None and (self.is_suspicious or self._driven < WINDOW):
             self.loss = before
         if before is None or self.loss is None:
@@ -234,7 +241,8 @@ class StatusMonitor:
             self.jump = 0.0
         elif self.loss.known is None:  # a robot that has slipped is near
             self.by_readings = self.loss.status
-        suspicion, by_covariance = self._changes.suspicion, float(chance_off(covariance))
+        suspicion = self._changes.suspicion
+        by_covariance = float(chance_off(covariance))
         self.mistaken = 0.0 if suspicion is None else chance_mistaken(suspicion.evidence)
         chance = either(by_covariance, self.mistaken)
         is_mistaken = self.mistaken > by_covariance
@@ -261,7 +269,8 @@ class StatusMonitor:
         if found is None:
             return None
         # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
-        change, ago = found.change, self._step - found.change.step
+        change = found.change
+        ago = self._step - found.change.step
         if found.is_slip:
             return Loss(CARRIED, ago, known=change.known)
         return Loss(CARRIED, ago, is_carried=change.evidence >= DOUBTED)

@@ -80,32 +80,31 @@ def numbered_rays_of(
     not new, too short, or perhaps missed by the sensor, has no ray. ``robot`` has its beams as
     specified. ``sensor`` is known to turn beams and to have a bias; None if it is as specified.
     """
-    first, used = (
-        max(len(steps) - STEPS, 0),
-        slice(None, None, math.ceil(len(robot.beams) / _BEAMS)),
-    )
+    first = max(len(steps) - STEPS, 0)
+    used = slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
     steps = steps[first:]
     poses = np.array([step.pose for step in steps])
     ranges = np.array([step.ranges for step in steps])
     if sensor is not None:
-        ranges, robot = sensor.corrected(ranges, robot), sensor.mounted(robot)
+        ranges = sensor.corrected(ranges, robot)
+        robot = sensor.mounted(robot)
     ranges = ranges[:, used]
     seen_nothing = ranges >= robot.too_far[used]
     usable = (ranges > robot.too_near[used]) & ~_missed(seen_nothing, np.isfinite(ranges))
     rows, places = np.nonzero(usable)
     beams = np.arange(len(robot.beams))[used][places]
-    cos, sin, reaches = (
-        np.cos(poses[:, 2])[rows],
-        np.sin(poses[:, 2])[rows],
-        robot.max_ranges[beams],
-    )
+    cos = np.cos(poses[:, 2])[rows]
+    sin = np.sin(poses[:, 2])[rows]
+    reaches = robot.max_ranges[beams]
     (from_x, from_y), (to_x, to_y) = robot.beam_origins[beams].T, robot.beam_directions[beams].T
     rays = np.empty((len(rows), 7))
     rays[:, RAY_X] = cos * from_x - sin * from_y + poses[rows, 0]
     rays[:, RAY_Y] = sin * from_x + cos * from_y + poses[rows, 1]
-    rays[:, RAY_TO_X], rays[:, RAY_TO_Y] = cos * to_x - sin * to_y, sin * to_x + cos * to_y
+    rays[:, RAY_TO_X] = cos * to_x - sin * to_y
+    rays[:, RAY_TO_Y] = sin * to_x + cos * to_y
     rays[:, RAY_LENGTH] = np.where(seen_nothing[usable], reaches, ranges[usable])
-    rays[:, RAY_REACH], rays[:, RAY_BEAM] = reaches, beams
+    rays[:, RAY_REACH] = reaches
+    rays[:, RAY_BEAM] = beams
     kept = _latest(rays)[-_RAYS:]
     return rays[kept], first + rows[kept].astype(np.int64)
 

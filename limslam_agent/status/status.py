@@ -31,7 +31,8 @@ means nothing then.
 """
 
 # Shares of the looks that pass through walls of a right map, and of a wrong one
-_RIGHT, _WRONG = 0.005, 0.12
+_RIGHT = 0.005
+_WRONG = 0.12
 # Number of looks that count: those at one place have one cause. Felt by "late beam 1 s" and "slips"
 _LOOKS = 225
 
@@ -157,12 +158,11 @@ def final_status_scores(
     ``time`` and ``levels`` are those of :func:`status_scores`, by which a note says when the robots
     were lost.
     """
-    lost, note = np.flatnonzero(levels.max(axis=1) == LEVELS.index("lost")), ""
+    lost = np.flatnonzero(levels.max(axis=1) == LEVELS.index("lost"))
+    note = ""
     if len(lost):
-        first, last = (
-            float(time[lost[0]] - time[0]),
-            float(time[min(lost[-1] + 1, len(time) - 1)] - time[0]),
-        )
+        first = float(time[lost[0]] - time[0])
+        last = float(time[min(lost[-1] + 1, len(time) - 1)] - time[0])
         end = "the end" if lost[-1] == len(time) - 1 else f"{last:.0f} s"
         note = f"lost while driving, from {first:.0f} s to {end}"
     return {

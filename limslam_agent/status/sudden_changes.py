@@ -35,7 +35,8 @@ from limslam_agent.status.rays import LASTING, Sight, moved, numbered_rays_of, s
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
-WINDOW, LONGEST_SPACING = 3.0, 0.30
+WINDOW = 3.0
+LONGEST_SPACING = 0.30
 """Length of the last part of the drive whose readings count, and way between two changes at most,
 m.
 """
@@ -106,7 +107,8 @@ class SuddenChanges:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self._noted = robot, -math.inf
+        self._robot = robot
+        self._noted = -math.inf
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
         self.forget_until(-1)
@@ -144,7 +146,8 @@ class SuddenChanges:
         """Forget all changes and maps until a step, after which the estimator has closed a loop,
         and moved the map.
         """
-        self._weighed, self._changes = step, list[Change]()
+        self._weighed = step
+        self._changes = list[Change]()
         self._known.clear()
         self.suspicion: Suspicion | None = None
 
@@ -165,8 +168,11 @@ class SuddenChanges:
         """
         begin = max(self._changes[0].step, first)
         rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
-        since, doubted = steps + begin, None if self.suspicion is None else self.suspicion.change
-        self.suspicion, kept, least = None, list[Change](), DOUBTED
+        since = steps + begin
+        doubted = None if self.suspicion is None else self.suspicion.change
+        self.suspicion = None
+        kept = list[Change]()
+        least = DOUBTED
         # A pose near the believed one takes long to find, and only makes a change less likely. So
         # the likeliest change of the last time comes first, and less likely ones need no such pose.
         for change in sorted(self._changes, key=lambda each: each is not doubted):
@@ -178,7 +184,8 @@ class SuddenChanges:
             found = slipped or found
             is_doubted = found.evidence >= (-DOUBTED if change is doubted else DOUBTED)
             if is_doubted and (self.suspicion is None or found.evidence >= least):
-                self.suspicion, least = found, max(DOUBTED, found.evidence)
+                self.suspicion = found
+                least = max(DOUBTED, found.evidence)
             if is_doubted or place - change.place <= WINDOW:
                 kept.append(change)
         self._changes = sorted(kept, key=attrgetter("step"))[-_CHANGES:]
@@ -251,10 +258,8 @@ class SuddenChanges:
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
             return None
-        ranges, motions = (
-            np.array([each.ranges for each in steps]),
-            np.array([each.motion for each in steps]),
-        )
+        ranges = np.array([each.ranges for each in steps])
+        motions = np.array([each.motion for each in steps])
         evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
         new = max(self._weighed - first - begin - 1, 0)
         self._weighed = first + begin + len(steps) - LASTING
@@ -277,7 +282,8 @@ class SuddenChanges:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says
         nothing.
         """
-        sensor, robot = known.sensor, self._robot
+        sensor = known.sensor
+        robot = self._robot
         ranges = sensor.corrected(sight.ranges, robot)
         rays = moved(step_rays(ranges, sensor.mounted(robot)), sight.pose)
         found: BoolArray = np.zeros(len(sight.ranges), dtype=bool)

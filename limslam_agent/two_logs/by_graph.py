@@ -87,7 +87,9 @@ def joined_by_graph(replays: Replays, frame: FloatArray, report: Report) -> Join
     assert config is not None  # noqa: S101 (the caller has looked)
     first, second = (_Chain.of(each, config) for each in replays)
     joint = smooth_with_loops(*_problem(first, second, frame, config), saying("both logs", report))
-    keys, path, seam = joint.keys, joint.trajectory, len(first.keys)
+    keys = joint.keys
+    path = joint.trajectory
+    seam = len(first.keys)
     std, reach = (
         max(getattr(each.data, name) for each in (first, second))
         for name in ("range_std", "max_range")
@@ -95,7 +97,8 @@ def joined_by_graph(replays: Replays, frame: FloatArray, report: Report) -> Join
     is_second = joint.chunk_keys >= seam
     between = [each for each in joint.loops if is_second[each.first] != is_second[each.second]]
     visits = visit_counts(keys, path, config, reach, seam)
-    confirmed, contradicted = int(visits.confirmed.sum()), int(visits.contradicted.sum())
+    confirmed = int(visits.confirmed.sum())
+    contradicted = int(visits.contradicted.sum())
     record = {
         "loops_between": sum(each.reason == KEPT for each in between),
         "loops_between_found": len(between),
@@ -160,7 +163,9 @@ def _keys(first: KeyPoses, second: KeyPoses, seam: FloatArray) -> KeyPoses:
         "step_variances": _SEAM_STD**2,
         "step_rate": np.zeros(3),
     }
-    events, keys, travel = len(first.event_key), len(first), first.travel[-1] + APART
+    events = len(first.event_key)
+    keys = len(first)
+    travel = first.travel[-1] + APART
     later = {
         "event_key": keys,
         "first_event": events,
@@ -171,7 +176,8 @@ def _keys(first: KeyPoses, second: KeyPoses, seam: FloatArray) -> KeyPoses:
     }
     columns = {}
     for name in (field.name for field in fields(KeyPoses)):
-        one, other = getattr(first, name), getattr(second, name) + later.get(name, 0)
+        one = getattr(first, name)
+        other = getattr(second, name) + later.get(name, 0)
         columns[name] = np.concatenate(
             (one, *([np.asarray(step[name])[None]] if name in step else []), other)
         )

@@ -32,7 +32,8 @@ def relation_scores(
     Relations between the logs are known only if one set of relations is given for both logs, and
     the times of the logs do not overlap.
     """
-    logs, scores = [each.log for each in joint.replays], dict[str, Any]()
+    logs = [each.log for each in joint.replays]
+    scores = dict[str, Any]()
     paths = joint.paths()
     for prefix, kind in (("", "est"), ("odometry_", "odometry"), ("smoothed_", "smoothed")):
         errors = [
@@ -62,7 +63,8 @@ def _errors_between(joint: JointReplay, known: Relations) -> RelationErrors:
     chosen = (begins[0] & ends[1]) | (begins[1] & ends[0])
     known = Relations(known.start_time[chosen], known.end_time[chosen], known.relative[chosen])
     odometry = [log.odometry for log in logs if log.odometry is not None]
-    time, poses = np.concatenate([log.time for log in logs]), np.concatenate(joint.poses)
+    time = np.concatenate([log.time for log in logs])
+    poses = np.concatenate(joint.poses)
     return relation_errors(known, time, poses, np.concatenate(odometry) if odometry else None)
 
 

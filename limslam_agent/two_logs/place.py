@@ -20,10 +20,9 @@ from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import Sight, rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
-_LENGTH, _EVERY = (
-    12.0,
-    8.0,
-)  # m of driving: of a stretch, and between the beginnings of two stretches
+# m of driving: of a stretch, and between the beginnings of two stretches
+_LENGTH = 12.0
+_EVERY = 8.0
 _KEPT = 20  # places of a stretch, all with an evidence that is no chance
 _MOST_CONTRADICTED = (
     0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
@@ -85,10 +84,8 @@ def place_in(known: KnownPlaces, replay: Replay, poses: FloatArray) -> Place:
     if not fits:
         return Place(None, 0.0, NO_MATCH)
     agree = _agreements(fits)
-    evidence, stretches = (
-        np.array([each.fit.evidence for each in fits]),
-        np.array([each.stretch for each in fits]),
-    )
+    evidence = np.array([each.fit.evidence for each in fits])
+    stretches = np.array([each.stretch for each in fits])
     of_stretch = [np.flatnonzero(stretches == each) for each in np.unique(stretches)]
     support = np.sum([(agree[:, rows] * evidence[rows]).max(axis=1) for rows in of_stretch], axis=0)
     best = int(np.argmax(support))
@@ -108,7 +105,8 @@ def place_in(known: KnownPlaces, replay: Replay, poses: FloatArray) -> Place:
 
 def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
     """The likely places of all stretches of a log."""
-    log, sensor = replay.log, sensor_of(replay)
+    log = replay.log
+    sensor = sensor_of(replay)
     ranges = np.where(log.has_scan[:, None], log.ranges.astype(np.float64), np.nan)
     steps = [Sight(*each) for each in zip(poses, ranges, strict=True)]
     travel = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
@@ -131,12 +129,11 @@ def _agreements(fits: list[_Fit]) -> BoolArray:
     The place of one predicts that of the other as two loops do. What the turn makes of the distance
     between them is added, because each log may be bent.
     """
-    poses, middles = (
-        np.array([each.fit.pose for each in fits]),
-        np.array([each.middle for each in fits]),
-    )
+    poses = np.array([each.fit.pose for each in fits])
+    middles = np.array([each.middle for each in fits])
     placed = np.column_stack((middles, np.zeros(len(fits))))
-    predicted, own = se2.compose(poses[:, None], placed[None]), se2.compose(poses, placed)
+    predicted = se2.compose(poses[:, None], placed[None])
+    own = se2.compose(poses, placed)
     off = se2.between(predicted, np.broadcast_to(own[None], predicted.shape))
     between = middles[:, None] - middles[None]
     far = AGREE_DISTANCE + AGREE_TURN * np.hypot(*np.moveaxis(between, -1, 0))

@@ -67,7 +67,8 @@ class HoughView:
         The bins of r are those of the estimator, so that the votes are those that it saw.
         """
         points = _MM * np.array(extraction["points"], dtype=float).reshape(-1, 2)
-        lines, pose = np.array(extraction["lines"]).reshape(-1, 2), np.array(extraction["pose"])
+        lines = np.array(extraction["lines"]).reshape(-1, 2)
+        pose = np.array(extraction["pose"])
         # The estimator counts votes about the mean of the points, where r and theta are nearly
         # independent.
         centre = points.mean(axis=0) if len(points) else np.zeros(2)

@@ -52,7 +52,9 @@ STAGES = (
 
 _ROW = 19  # pixels from one line of small text to the next
 _SHORTEST_BAR = 14  # pixels
-_SCALE_WIDTH, _SCALE_HEIGHT = 46, 34  # space for the heat map's axes, pixels
+# space for the heat map's axes, pixels
+_SCALE_WIDTH = 46
+_SCALE_HEIGHT = 34
 _RAMP = np.array(HEAT, dtype=float)
 
 
@@ -74,7 +76,10 @@ def draw_hough(hough: HoughView | None, width: int, height: int, *, several: boo
         who = f"robot {hough.robot + 1}, {hough.side}" if several else f"{hough.side} buffer"
         text = f"{who}: {len(hough.points)} points, {counted(len(hough.peaks), 'line')}"
         write(panel, fitted(text, 12, width), (0, 31), 12)
-    left, top, right, bottom = _SCALE_WIDTH, 40, width - 6, height - _SCALE_HEIGHT
+    left = _SCALE_WIDTH
+    top = 40
+    right = width - 6
+    bottom = height - _SCALE_HEIGHT
     area = panel[top:bottom, left:right]
     if hough is not None:
         area[:] = _heat_map(hough, right - left, bottom - top)
@@ -100,7 +105,8 @@ def _heat_map(hough: HoughView, width: int, height: int) -> Image:
 def _ring_peaks(area: Image, hough: HoughView) -> None:
     height, width = area.shape[:2]
     for number, (r, theta) in enumerate(hough.peaks):
-        x, y = theta / math.pi * width, (0.5 - 0.5 * r / hough.r_reach) * height
+        x = theta / math.pi * width
+        y = (0.5 - 0.5 * r / hough.r_reach) * height
         # A line near 0 or 180 degrees appears at both edges. The ring is moved so that all of it is
         # visible.
         centre = (
@@ -179,7 +185,8 @@ def draw_buffers(buffers: Sequence[PendingPoints], width: int, height: int) -> I
 def _draw_bar(panel: Image, buffer: PendingPoints, x: int, y: int, width: int) -> None:
     count = len(buffer.points) if buffer.new is None else buffer.new
     kept = len(buffer.points) - count
-    colour, words = side_colour(buffer.side), f"{buffer.side} {count}/{buffer.enough}"
+    colour = side_colour(buffer.side)
+    words = f"{buffer.side} {count}/{buffer.enough}"
     words += f" + {kept} kept" if kept > 0 else ""
     # All bars have one length, with or without points that are kept.
     length = max(width - (80 if buffer.new is None else 124), _SHORTEST_BAR)
@@ -221,7 +228,8 @@ def draw_stages(active: tuple[int, ...], width: int, height: int) -> Image:
     gap = 22
     room = (width - gap * (len(STAGES) - 1)) / len(STAGES)
     for number, name in enumerate(STAGES):
-        left, right = round(number * (room + gap)), round(number * (room + gap) + room)
+        left = round(number * (room + gap))
+        right = round(number * (room + gap) + room)
         is_on = number in active
         fill, ink = (INK, PAPER) if is_on else (mixed(RULE, PAPER, 0.45), TEXT)
         _rounded(panel, left, right, height, fill)
@@ -235,7 +243,8 @@ def draw_stages(active: tuple[int, ...], width: int, height: int) -> Image:
             anchor="centre",
         )
         if number:
-            tip, middle = left - 5, height // 2
+            tip = left - 5
+            middle = height // 2
             cv2.line(panel, (left - gap + 4, middle), (tip, middle), FAINT, 1, cv2.LINE_AA)
             cv2.polylines(
                 panel,
@@ -276,8 +285,10 @@ def draw_legend(width: int, height: int) -> Image:
         "points, right",
         "beam that hits",
     )
-    symbol, gap = 26, 14
-    x, middle = 0, height // 2
+    symbol = 26
+    gap = 14
+    x = 0
+    middle = height // 2
     for number, name in enumerate(names):
         _draw_symbol(panel, number, x, middle)
         write(panel, name, (x + symbol, middle + 4), 12, TEXT)

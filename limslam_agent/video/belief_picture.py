@@ -109,7 +109,8 @@ class Sheet:
     def label(self, words: str, place: FloatArray, size: int, ink: Colour, paper: Colour) -> None:
         """Write a text on a small plate at a position (2,), m."""
         x, y = (self.pixels(np.asarray(place)[None])[0] >> _SHIFT).tolist()
-        half, above = width_of(words, size, bold=True) // 2 + 3, round(0.36 * size) + 3
+        half = width_of(words, size, bold=True) // 2 + 3
+        above = round(0.36 * size) + 3
         cv2.rectangle(self.image, (x - half, y - above), (x + half, y + above), paper, -1)
         write(self.image, words, (x, y + above - 3), size, ink, bold=True, anchor="centre")
 
@@ -181,7 +182,8 @@ def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
 def _draw_bands(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the walls' uncertainty, up to a distance from each wall."""
     ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
-    low, high = ends.min(axis=1, keepdims=True), ends.max(axis=1, keepdims=True)
+    low = ends.min(axis=1, keepdims=True)
+    high = ends.max(axis=1, keepdims=True)
     sheet.wash(
         np.clip(wall_bands(frame.walls), low - _WIDEST_BAND, high + _WIDEST_BAND), WALL, 0.22
     )
@@ -255,6 +257,7 @@ def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: 
     corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (
         1.25 * size / sheet.scale
     )
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     sheet.wash((pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]))[None], PAPER)
     sheet.path(outline, mixed(colour, INK, 0.4), 1, closed=True)

@@ -34,17 +34,23 @@ from limslam_agent.video.narration import SPEED, Caption, Narrator
 from limslam_agent.video.video import VideoWriter
 from limslam_env.geometry import FloatArray
 
-WIDTH, HEIGHT = 1280, 720
+WIDTH = 1280
+HEIGHT = 720
 FPS = 25
 """Frames per second of the video."""
 
-_GAP, _TOP, _FOOT = 16, 80, 134
-_SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
+_GAP = 16
+_TOP = 80
+_FOOT = 134
+# width of the panels beside the pictures, and their height below them
+_SIDE = 268
+_STRIP = 176
 _LAST_FRAME = 3.0  # s of the video
 
 # Margin around the world and largest size of the simulator's pictures
 # (limslam_env.rendering.rendering), pixels.
-_TRUTH_MARGIN, _TRUTH_MOST = 30, (1600, 640)
+_TRUTH_MARGIN = 30
+_TRUTH_MOST = (1600, 640)
 _KEPT_MARGIN = 5
 _ADDED_MARGIN = (
     0.04  # share of the world's size at each side, so that a map that has drifted stays visible
@@ -86,9 +92,12 @@ class Film:
     """
 
     def __init__(self, writer: VideoWriter, low: FloatArray, high: FloatArray, title: str) -> None:
-        self._writer, self._corners, self._title = writer, (low, high), title
+        self._writer = writer
+        self._corners = (low, high)
+        self._title = title
         self._narrator = Narrator()
-        self._next, self._shown = 0.0, 0
+        self._next = 0.0
+        self._shown = 0
         self._last: tuple[Image, BeliefFrame, Scene] | None = None
 
     def is_due(self, time: float) -> bool:
@@ -168,7 +177,8 @@ def layout_for(aspect: float, robots: int = 1) -> Layout:
         size = _even(beside * aspect, beside)
         right = 2 * _GAP + width
         left = WIDTH - _GAP - _SIDE
-        buffers, hough = buffers_height(robots) + _GAP, 268
+        buffers = buffers_height(robots) + _GAP
+        hough = 268
         return Layout(
             (_GAP + (width - size[0]) // 2, _TOP, *size),
             (right + (width - size[0]) // 2, _TOP, *size),

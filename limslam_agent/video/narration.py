@@ -12,10 +12,9 @@ from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView
 SPEED = 5.0
 """How much faster the video is than the run."""
 
-_LEAST_HOLD, _HOLD = (
-    0.7,
-    1.8,
-)  # s of the video before a more important caption, and before any caption, may follow
+# s of the video before a more important caption, and before any caption, may follow
+_LEAST_HOLD = 0.7
+_HOLD = 1.8
 _LONGEST_LOG = 24
 _WORDS_PER_SECOND = 7.0
 # s of the video between two explanations. Without it all pauses would come in the first seconds of
@@ -109,18 +108,22 @@ class Narrator:
     def __init__(self) -> None:
         self._untaught = set(LESSONS)
         self._last: BeliefFrame | None = None
-        self._said, self._since = "drive", -np.inf
+        self._said = "drive"
+        self._since = -np.inf
         self._waiting: dict[str, Caption] = {}
         self._caption = _captions_of_driving(1)
-        self._noted, self._times = "", 0
-        self._explained, self._robots = -np.inf, 1
+        self._noted = ""
+        self._times = 0
+        self._explained = -np.inf
+        self._robots = 1
         self.log: list[tuple[float, str, str]] = []
 
     def hear(self, frame: BeliefFrame) -> list[tuple[Caption, float]]:
         """The captions of a frame, each with the time of the video for which the picture pauses, s:
         explanations first, and then the one with which the run continues, without a pause.
         """
-        several, self._robots = len(frame.poses) > 1, len(frame.poses)
+        several = len(frame.poses) > 1
+        self._robots = len(frame.poses)
         happening = _happenings(frame, self._last)
         for event in frame.events:
             self._note(
@@ -158,7 +161,8 @@ class Narrator:
             self._times += 1
             self.log[0] = (time, kind, f"{words}, {self._times} times")
             return
-        self._noted, self._times = words, 1
+        self._noted = words
+        self._times = 1
         self.log = [(time, kind, words), *self.log][:_LONGEST_LOG]
 
     def _choose(self, time: float) -> None:
@@ -218,7 +222,8 @@ def _captions(frame: BeliefFrame) -> dict[str, Caption]:
             "Of all frontiers, this frontier has the least cost.",
         )
     if frame.hough is not None:
-        hough, count = frame.hough, len(frame.hough.peaks)
+        hough = frame.hough
+        count = len(frame.hough.peaks)
         whose = f"robot {hough.robot + 1}'s {hough.side}" if several else f"the {hough.side}"
         lines = "1 line has" if count == 1 else f"{count} lines have"
         said["hough"] = Caption(

@@ -21,7 +21,9 @@ from limslam_agent.output.style import PALETTE, Image
 SUFFIXES = (".mp4", ".gif")
 
 # A GIF stores whole pictures. Fewer and smaller pictures with few colours keep the file small.
-_GIF_WIDTH, _GIF_FPS, _GIF_COLOURS = 960, 8.0, 144
+_GIF_WIDTH = 960
+_GIF_FPS = 8.0
+_GIF_COLOURS = 144
 _GIF_FRAMES = 320
 _GIF_PALETTE_SAMPLES = 12
 
@@ -76,7 +78,8 @@ class _Mp4:
     def __init__(
         self, path: Path, fps: float, beside: Path, program: str, size: tuple[int, int]
     ) -> None:
-        self._path, self._fps = path, fps
+        self._path = path
+        self._fps = fps
         # Error messages go to a file, because a pipe without a reader would fill up and block.
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
         command = [
@@ -165,7 +168,9 @@ class _Gif:
     """Keeps compressed frames in memory, and writes them at the end, when all colours are known."""
 
     def __init__(self, path: Path, fps: float, beside: Path) -> None:
-        self._path, self._beside, self._frame_time = path, beside, 1.0 / fps
+        self._path = path
+        self._beside = beside
+        self._frame_time = 1.0 / fps
         self._step = max(1.0 / _GIF_FPS, self._frame_time)
         self._frames: list[tuple[bytes, float]] = []
         self._size = (0, 0)

@@ -30,7 +30,9 @@ FARTHEST = 1000.0
 LARGEST_COVARIANCE = 1e6
 """Bound of the numbers of an observed covariance, m^2, m rad, rad^2."""
 
-UNKNOWN, FREE, OCCUPIED = 0, 127, 255
+UNKNOWN = 0
+FREE = 127
+OCCUPIED = 255
 """Values of an observed grid's cells."""
 
 _UPPER = np.triu_indices(3)

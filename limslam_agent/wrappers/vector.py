@@ -107,7 +107,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     ) -> tuple[Observation, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Drive for one control period and give the new observations to the SLAM."""
         seen, reward, terminated, truncated, info = self.env.step(actions)
-        ended, everywhere = terminated | truncated, np.ones(self.num_envs, dtype=bool)
+        ended = terminated | truncated
+        everywhere = np.ones(self.num_envs, dtype=bool)
         mode = AutoresetMode(self.env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         if mode == AutoresetMode.NEXT_STEP:
             self._reset_beliefs(info, self._ended)
@@ -134,12 +135,14 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         """Update the beliefs with the last observations of episodes, and put them into
         ``final_obs``.
         """
-        last, places = info["final_obs"], np.flatnonzero(ended)
+        last = info["final_obs"]
+        places = np.flatnonzero(ended)
         seen = {key: np.zeros((self.num_envs, *box.shape)) for key, box in self._spaces.items()}
         for key, rows in seen.items():
             for place in places:
                 rows[place] = last[key][place] if isinstance(last, dict) else last[place][key]
-        beliefs, final = self._believed(seen, ended), np.full(self.num_envs, None, dtype=object)
+        beliefs = self._believed(seen, ended)
+        final = np.full(self.num_envs, None, dtype=object)
         for place in places:
             final[place] = {key: rows[place].copy() for key, rows in beliefs.items()}
         info["final_obs"] = final

@@ -56,7 +56,8 @@ _SETTINGS = (
     "axle_mismatch",
 )
 
-NOISE, PLACES = 1, 2
+NOISE = 1
+PLACES = 2
 """Purposes of random numbers, besides those of the steps, 0."""
 
 
@@ -85,15 +86,21 @@ class BatchSimulation:
         max_steps: int | None = None,
         num_threads: int | None = None,
     ) -> None:
-        count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
-        self.robot, self.num_envs, self.num_robots = robot, count, robots
-        self._places, self._settings = places, noise_settings(noise, robot)
+        count = places.num_envs
+        robots = places.num_robots
+        num_beams = len(robot.beams)
+        self.robot = robot
+        self.num_envs = count
+        self.num_robots = robots
+        self._places = places
+        self._settings = noise_settings(noise, robot)
         beams = beam_table(robot)
         longest = max(float((beams[:, OFFSET] + beams[:, LONGEST_RANGE]).max()), 2.0 * robot.radius)
         is_small = (
             longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
         )
-        period, fan = robot.control_period, fan_of(beams, robot.radius - BODY_MARGIN)
+        period = robot.control_period
+        fan = fan_of(beams, robot.radius - BODY_MARGIN)
         self._robots = Robots(
             robot.max_wheel_speed * period, robot.radius, period, beams, fan, is_small
         )
@@ -140,10 +147,8 @@ class BatchSimulation:
         homes: Words = self._homes
         numbers = self._numbers.copy()
         if seeds is not None:
-            homes, numbers = (
-                np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64),
-                0 * numbers,
-            )
+            homes = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64)
+            numbers = 0 * numbers
         numbers[envs] += 1
         keys, settings, places = (
             derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, NOISE, PLACES)
@@ -152,7 +157,9 @@ class BatchSimulation:
         episodes.poses[envs] = self._places.begin(
             envs, places, None if start is None else start[envs]
         )
-        self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
+        self._homes = homes
+        self._numbers = numbers
+        episodes.keys[envs] = keys
         self._place_keys[envs] = places
         noise = np.empty((len(envs), NUM_NOISES))
         draw_rows(settings, *self._settings, noise)
@@ -174,7 +181,8 @@ class BatchSimulation:
 
     def seen(self, env: int) -> BoolArray:
         """Which coverable cells of an environment's grid (rows, columns) have been seen."""
-        slot, sites = int(self._places.world_of[env]), self._places.sites
+        slot = int(self._places.world_of[env])
+        sites = self._places.sites
         return sites.to_cells(slot, sites.tiles[slot] & ~self._episodes.unseen[env])
 
     def world(self, env: int) -> World:
@@ -183,7 +191,8 @@ class BatchSimulation:
 
     def coverage_grid(self, env: int) -> CoverageGrid:
         """The cells that count for the coverage of an environment."""
-        slot, sites = int(self._places.world_of[env]), self._places.sites
+        slot = int(self._places.world_of[env])
+        sites = self._places.sites
         return CoverageGrid(sites.areas[slot, :2], sites.to_cells(slot, sites.tiles[slot]))
 
     def close(self) -> None:
@@ -204,7 +213,8 @@ class BatchSimulation:
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> Results:
         results = no_results(self.num_envs, self.num_robots, len(self.robot.beams))
-        begun, worlds = np.zeros(1, dtype=np.int64), self._places.sites.worlds
+        begun = np.zeros(1, dtype=np.int64)
+        worlds = self._places.sites.worlds
         shared: tuple[Any, ...] = (
             tasks,
             actions,

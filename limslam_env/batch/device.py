@@ -90,11 +90,14 @@ class DeviceSimulation(BatchSimulation):
         if self._renewal is not None:
             self._numbers[:] = np.asarray(self._renewal.numbers)
         self.begin(mask, start, seeds)
-        places, worlds = self._places, self._places.sites.worlds
-        size, width = self.num_envs * worlds.coverable.shape[1], worlds.coverable.shape[1]
+        places = self._places
+        worlds = self._places.sites.worlds
+        size = self.num_envs * worlds.coverable.shape[1]
+        width = worlds.coverable.shape[1]
         # A kernel may read a little beyond these words, as on the processor.
         unseen = _device_array(size + 3 * width + 3, np.uint64)[:size].reshape(self.num_envs, width)
-        over, num_plans = np.zeros(self.num_envs, dtype=bool), places.num_plans or 0
+        over = np.zeros(self.num_envs, dtype=bool)
+        num_plans = places.num_plans or 0
         self._episodes_there: Episodes = _uploaded(self._episodes._replace(unseen=unseen))
         self._renewal = _uploaded(Renewal(self._homes, self._numbers, places.home, num_plans, over))
         self._arguments = (
@@ -140,7 +143,8 @@ class DeviceSimulation(BatchSimulation):
 
     def seen(self, env: int) -> BoolArray:
         """Which coverable cells of an environment's grid (rows, columns) have been seen."""
-        slot, sites = int(self._episodes_there.world_of[env]), self._places.sites
+        slot = int(self._episodes_there.world_of[env])
+        sites = self._places.sites
         return sites.to_cells(
             slot, sites.tiles[slot] & ~np.asarray(self._episodes_there.unseen[env])
         )
@@ -175,7 +179,8 @@ def _begin_again(
     processor.
     """
     renewal.numbers[env] += 1
-    home, number = renewal.homes[env], renewal.numbers[env]
+    home = renewal.homes[env]
+    number = renewal.numbers[env]
     key = derived(home, number, PLACES)
     slot = chosen(key, renewal.num_plans) if renewal.num_plans > 0 else renewal.slots[env]
     episodes.world_of[env], episodes.keys[env], episodes.covered[env] = (

@@ -56,9 +56,12 @@ class Places:
         plans: Sequence[int] | None = None,
         num_threads: int | None = None,
     ) -> None:
-        self.num_envs, self.num_robots, self.sites = num_envs, num_robots, Sites()
+        self.num_envs = num_envs
+        self.num_robots = num_robots
+        self.sites = Sites()
         self.world_of: IntArray = np.zeros(num_envs, dtype=np.int64)
-        self._robot, self._threads = robot, num_threads or cores()
+        self._robot = robot
+        self._threads = num_threads or cores()
         self._config: FloorPlanConfig | None = None
         self._seeds: Sequence[int] = ()
         self._worlds: list[World] = []

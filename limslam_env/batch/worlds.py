@@ -76,7 +76,8 @@ class Site:
         """
         # Sensors that see far across a building: going from cell to cell is faster, and such lists
         # would be long.
-        corners, count = self.walls.edges.reshape(-1, 2), len(self.walls.edges)
+        corners = self.walls.edges.reshape(-1, 2)
+        count = len(self.walls.edges)
         share = min(
             1.0, (2.0 * self.reach) ** 2 / max(float(np.prod(np.ptp(corners, axis=0))), 1e-9)
         )
@@ -142,7 +143,8 @@ class _RowStore:
         if len(rows) > self._sizes[slot]:
             # A later world in this slot may need a little more.
             size = len(rows) if self._sizes[slot] < 0 else len(rows) * 5 // 4
-            self._firsts[slot], self._sizes[slot] = self._taken, size
+            self._firsts[slot] = self._taken
+            self._sizes[slot] = size
             self._taken += size
             if self._taken > len(self.rows):
                 self._grow(max(self._taken, len(self.rows) * 3 // 2))
@@ -174,12 +176,11 @@ class Sites:
     """
 
     def __init__(self) -> None:
-        self._edges, self._cells, self._items = (
-            _RowStore(np.float64, 4),
-            _RowStore(np.int32),
-            _RowStore(np.int32),
-        )
-        self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.uint16)
+        self._edges = _RowStore(np.float64, 4)
+        self._cells = _RowStore(np.int32)
+        self._items = _RowStore(np.int32)
+        self._near_cells = _RowStore(np.int32)
+        self._near_items = _RowStore(np.uint16)
         self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
         self.grids: FloatArray = np.zeros((0, 3))
         self.areas: FloatArray = np.zeros((0, 3))
@@ -206,7 +207,9 @@ class Sites:
         """Put a world at a slot: the next one, or one whose world is needed no more."""
         if slot == len(self):
             self._grow()
-        walls, tiles, near = site.walls, site.tiles, site.near
+        walls = site.walls
+        tiles = site.tiles
+        near = site.near
         first_edge = self._edges.put(slot, walls.edges)
         first_item = self._items.put(slot, walls.cell_edges + first_edge)
         first_cell = self._cells.put(slot, walls.cell_starts + first_item)
@@ -221,11 +224,10 @@ class Sites:
             *tiles.shape[::-1],
             first_near,
         )
-        self.grids[slot], self.areas[slot] = (walls.low_x, walls.low_y, walls.side), site.area
-        self.totals[slot], self.shapes[slot] = (
-            max(int(np.bitwise_count(tiles).sum()), 1),
-            site.shape,
-        )
+        self.grids[slot] = (walls.low_x, walls.low_y, walls.side)
+        self.areas[slot] = site.area
+        self.totals[slot] = max(int(np.bitwise_count(tiles).sum()), 1)
+        self.shapes[slot] = site.shape
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
         self.tiles[slot] = 0

@@ -187,11 +187,14 @@ class SimulationEnv(Configured):
         **arguments: Any,
     ) -> None:
         """Take an environment's arguments; its class documents them and the errors raised."""
-        self.render_mode, self.has_imu = render_mode, bool(imu)
+        self.render_mode = render_mode
+        self.has_imu = bool(imu)
         self._painter = Painter(render_mode)
         self._configure(**arguments)
         self._source = FloorPlanConfig() if is_random(world) else world
-        self._num_robots, self._home, self._is_running = num_robots, None, False
+        self._num_robots = num_robots
+        self._home = None
+        self._is_running = False
         if isinstance(self._source, FloorPlanConfig):
             self._source.check(self.robot.radius)
         else:
@@ -278,7 +281,8 @@ class SimulationEnv(Configured):
         simulation = self._simulation_for(asked.get("world", self._source), entropy)
         seeds = np.random.SeedSequence(entropy)
         readings, truth = simulation.reset(seeds, self.noise, start, imu=self.has_imu)
-        self._simulation, self._is_running = simulation, True
+        self._simulation = simulation
+        self._is_running = True
         self._painter.follow(simulation, readings, truth)
         return readings, truth
 

@@ -74,14 +74,17 @@ class Batched(Configured):
         if num_threads is not None:
             num_threads = whole("num_threads", num_threads, MOST_THREADS, ", or None")
         self._configure(**arguments)
-        self._num_robots, self.num_envs = num_robots, num_envs
-        source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
+        self._num_robots = num_robots
+        self.num_envs = num_envs
+        source = worlds_of(world, num_envs)
+        seeds = seeds_of(plans, world)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
         self._simulation = self._kind(
             places, self.robot, self.noise, self.task, max_steps, num_threads
         )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self._is_over, self._is_running = np.zeros(num_envs, dtype=bool), False
+        self._is_over = np.zeros(num_envs, dtype=bool)
+        self._is_running = False
 
     def seen(self, env: int) -> BoolArray:
         """The coverable cells (rows, columns) of an environment's coverage grid that have been
@@ -95,8 +98,10 @@ class Batched(Configured):
         """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of
         their environments.
         """
-        asked, seeds = reset_options(options, "start", "reset_mask"), None
-        mask, start = self._mask(asked.get("reset_mask")), self._start(asked.get("start"))
+        asked = reset_options(options, "start", "reset_mask")
+        seeds = None
+        mask = self._mask(asked.get("reset_mask"))
+        start = self._start(asked.get("start"))
         if seed is not None or not self._is_running:
             seeds = np.random.SeedSequence(int(generator.integers(2**63)))
         results = self._simulation.reset(mask, start, seeds)
@@ -208,7 +213,8 @@ def infos_of(
     if ended is None:
         return info
     last, over = ended
-    observations, final = observations_of(last, robot), np.full(len(over), None, dtype=object)
+    observations = observations_of(last, robot)
+    final = np.full(len(over), None, dtype=object)
     for env in np.flatnonzero(over):
         final[env] = {key: value[env].copy() for key, value in observations.items()}
     info |= {"final_obs": final, "_final_obs": over.copy()}
@@ -262,7 +268,8 @@ class BatchPictures:
             return None
         from limslam_env.rendering.rendering import RenderState, render, square_background
 
-        trail, simulation = np.stack(self._trail), self._simulation
+        trail = np.stack(self._trail)
+        simulation = self._simulation
         pictures = []
         for env in range(simulation.num_envs):
             if env not in self._places:

@@ -110,7 +110,9 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
             coverage_goal=coverage_goal,
             rewards=rewards,
         )
-        self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
+        self._shares_reward = shared_reward
+        self._max_cycles = max_cycles
+        self._cycles = 0
         self._generator: np.random.Generator | None = None
         self._name(num_robots, lambda: observation_space(self.robot, imu=imu), action_space)
         self.agents: list[str] = []
@@ -133,7 +135,8 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         # PettingZoo's own test hands over options that no environment knows.
         known = {key: value for key, value in (options or {}).items() if key in RESET_OPTIONS}
         readings, truth = self._begin(self._generator, known)
-        self.agents, self._cycles = list(self.possible_agents), 0
+        self.agents = list(self.possible_agents)
+        self._cycles = 0
         observations = self._each(lambda robot: observation_of(readings, robot))
         return observations, self._each(lambda robot: info_of(truth, robot))
 

@@ -11,12 +11,16 @@ from limslam_env.worlds.formats.loading import WorldSource
 CONTROLS = "arrows or WASD: drive    R: restart    Q: quit"
 """Help text of the window: the meaning of the keys."""
 
-_AHEAD, _BACK = {"up", "w"}, {"down", "s"}
-_LEFT, _RIGHT = {"left", "a"}, {"right", "d"}
+_AHEAD = {"up", "w"}
+_BACK = {"down", "s"}
+_LEFT = {"left", "a"}
+_RIGHT = {"right", "d"}
 _QUIT = {"q", "escape"}
 
 # Wheel speeds, fractions of the maximum.
-_TURN, _CRUISE, _BACKWARDS = 0.30, 0.70, 0.50
+_TURN = 0.30
+_CRUISE = 0.70
+_BACKWARDS = 0.50
 
 
 class Drive(NamedTuple):
@@ -68,7 +72,8 @@ def play(world: WorldSource, *, max_steps: int | None = None) -> Drive:
 def _drive(env: LimSlamEnv, max_steps: int | None) -> Drive:
     # Each reset and step is shown in the window, which then waits for a control period. So the
     # drive keeps real time.
-    info, driven = env.reset(seed=0)[1], 0
+    info = env.reset(seed=0)[1]
+    driven = 0
     window = env.window
     if window is None:
         raise RuntimeError("the human render mode opened no window")
@@ -77,8 +82,6 @@ def _drive(env: LimSlamEnv, max_steps: int | None) -> Drive:
         keys = window.pressed_keys()
         if window.closed or keys & _QUIT:
             break
-        info, driven = (
-            env.reset(seed=0)[1] if "r" in keys else env.step(wheel_speeds(keys))[4],
-            driven + 1,
-        )
+        info = env.reset(seed=0)[1] if "r" in keys else env.step(wheel_speeds(keys))[4]
+        driven = driven + 1
     return Drive(info["time"], info["coverage"])

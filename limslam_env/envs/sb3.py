@@ -39,10 +39,8 @@ class Sb3VecEnv(VecEnv):
             )
         self.env = env
         self._actions: NDArray[Any] | None = None
-        self._returns, self._lengths = (
-            np.zeros(env.num_envs),
-            np.zeros(env.num_envs, dtype=np.int64),
-        )
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         if "render_fps" in env.metadata:
             self.metadata["render_fps"] = env.metadata["render_fps"]
@@ -55,7 +53,8 @@ class Sb3VecEnv(VecEnv):
         observation, _ = self.env.reset(seed=self._seeds[0], options=options or None)
         self._reset_seeds()
         self._reset_options()
-        self._returns[:], self._lengths[:] = 0.0, 0
+        self._returns[:] = 0.0
+        self._lengths[:] = 0
         return observation
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -75,7 +74,8 @@ class Sb3VecEnv(VecEnv):
                 "TimeLimit.truncated": bool(truncated[number] and not terminated[number]),
                 "episode": {"r": float(self._returns[number]), "l": int(self._lengths[number])},
             }
-        self._returns[ends], self._lengths[ends] = 0.0, 0
+        self._returns[ends] = 0.0
+        self._lengths[ends] = 0
         return observation, np.asarray(rewards, dtype=np.float32), ends, infos
 
     def close(self) -> None:

@@ -207,7 +207,8 @@ class LimSlamVectorEnv(
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         begun = self._begin(generator, seed, options)
         if seed is not None:
-            self._np_random, self._np_random_seed = generator, seed
+            self._np_random = generator
+            self._np_random_seed = seed
         return begun
 
     def close_extras(self, **_: Any) -> None:

@@ -34,10 +34,14 @@ __all__ = [
 Observation: TypeAlias = dict[str, Any]
 Env: TypeAlias = gym.Env[Observation, Any]
 
-UNSEEN, FREE, WALL = 0, 127, 255
+UNSEEN = 0
+FREE = 127
+WALL = 255
 """Values of a local map's cells."""
 
-FORWARD, LEFT, RIGHT = (1.0, 1.0), (-0.4, 0.4), (0.4, -0.4)
+FORWARD = (1.0, 1.0)
+LEFT = (-0.4, 0.4)
+RIGHT = (0.4, -0.4)
 """Wheel speeds of the usual discrete actions, fractions of the maximum."""
 
 
@@ -55,7 +59,8 @@ class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation
     def __init__(self, env: Env) -> None:
         super().__init__(env)
         space = _dict_space(env)
-        self._ranges, self._wheels = _box(space, "ranges"), _box(space, "wheels")
+        self._ranges = _box(space, "ranges")
+        self._wheels = _box(space, "wheels")
         scaled = {
             "ranges": spaces.Box(0.0, 1.0, self._ranges.shape, np.float32),
             "wheels": spaces.Box(-1.0, 1.0, self._wheels.shape, np.float32),
@@ -64,7 +69,8 @@ class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation
 
     def observation(self, observation: Observation) -> Observation:
         """The observation, scaled."""
-        low, high = self._ranges.low, self._ranges.high
+        low = self._ranges.low
+        high = self._ranges.high
         ranges = np.clip((observation["ranges"] - low) / (high - low), 0.0, 1.0)
         wheels = np.clip(observation["wheels"] / self._wheels.high, -1.0, 1.0)
         return {
@@ -177,7 +183,8 @@ class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
         self._truth = truth
         picture = spaces.Box(0, 255, (1, size, size), np.uint8)
         self.observation_space = spaces.Dict({**_dict_space(env).spaces, "local_map": picture})
-        self._places, self._size = places_around(size, CELL), size
+        self._places = places_around(size, CELL)
+        self._size = size
         self._walls = np.zeros((0, 0), dtype=bool)
 
     def reset(

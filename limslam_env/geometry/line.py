@@ -44,7 +44,8 @@ def nearest_form(line: FloatArray, reference: FloatArray) -> FloatArray:
     ``r`` may come out negative; the angle lies within pi / 2 of the reference's, unwrapped
     towards it, so that ``result - reference`` is the difference of the two lines.
     """
-    line, reference = np.asarray(line, dtype=float), np.asarray(reference, dtype=float)
+    line = np.asarray(line, dtype=float)
+    reference = np.asarray(reference, dtype=float)
     if line.ndim == reference.ndim == 1:
         (r, theta), towards = line.tolist(), float(reference[1])
         turn = wrap_angle(theta - towards)
@@ -94,7 +95,8 @@ def from_frame(line: FloatArray, pose: FloatArray) -> FloatArray:
 def to_frame_jacobians(line: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives of :func:`to_frame` for one line, by pose (2, 3) and by line (2, 2)."""
     (r, theta), (x, y, _) = line.tolist(), pose.tolist()
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     sign = -1.0 if r - x * cos - y * sin < 0.0 else 1.0
     by_both = np.array(
         [
@@ -108,7 +110,8 @@ def to_frame_jacobians(line: FloatArray, pose: FloatArray) -> tuple[FloatArray, 
 def from_frame_jacobians(line: FloatArray, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives of :func:`from_frame` for one line, by pose (2, 3) and by line (2, 2)."""
     theta = line[1] + pose[2]
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     sign = -1.0 if line[0] + pose[0] * cos + pose[1] * sin < 0.0 else 1.0
     turned = sign * (pose[1] * cos - pose[0] * sin)
     by_pose = np.array([[sign * cos, sign * sin, turned], [0.0, 0.0, 1.0]])
@@ -150,7 +153,8 @@ def at(line: FloatArray, position: FloatArray) -> FloatArray:
 def _pairs(first: FloatArray, second: FloatArray) -> FloatArray:
     # ``np.stack`` with axis=-1, in a third of its time.
     pairs = np.empty((*first.shape, 2))
-    pairs[..., 0], pairs[..., 1] = first, second
+    pairs[..., 0] = first
+    pairs[..., 1] = second
     return pairs
 
 

@@ -39,15 +39,18 @@ def compose(first: FloatArray, second: FloatArray) -> FloatArray:
 
     Leading axes broadcast. The heading of the result is wrapped.
     """
-    first, second = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    first = np.asarray(first, dtype=float)
+    second = np.asarray(second, dtype=float)
     if first.ndim == second.ndim == 1:
         # Single poses are composed at every step; plain numbers take a tenth of the time.
         (x0, y0, heading), (ahead, left, turn) = first.tolist(), second.tolist()
-        c, s = math.cos(heading), math.sin(heading)
+        c = math.cos(heading)
+        s = math.sin(heading)
         return np.array(
             [x0 + c * ahead - s * left, y0 + s * ahead + c * left, wrap_angle(heading + turn)]
         )
-    cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
+    cos = np.cos(first[..., 2])
+    sin = np.sin(first[..., 2])
     x = first[..., 0] + cos * second[..., 0] - sin * second[..., 1]
     y = first[..., 1] + sin * second[..., 0] + cos * second[..., 1]
     return np.stack((x, y, wrap_angle(first[..., 2] + second[..., 2])), axis=-1)
@@ -56,7 +59,8 @@ def compose(first: FloatArray, second: FloatArray) -> FloatArray:
 def inverse(pose: FloatArray) -> FloatArray:
     """``T_b_a`` from ``T_a_b``; the last axis holds (x, y, theta)."""
     pose = np.asarray(pose, dtype=float)
-    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    cos = np.cos(pose[..., 2])
+    sin = np.sin(pose[..., 2])
     x = -cos * pose[..., 0] - sin * pose[..., 1]
     y = sin * pose[..., 0] - cos * pose[..., 1]
     return np.stack((x, y, wrap_angle(-pose[..., 2])), axis=-1)
@@ -69,8 +73,11 @@ def between(start: FloatArray, end: FloatArray) -> FloatArray:
 
 def compose_jacobians(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Derivatives of ``compose(first, second)`` by ``first`` and by ``second``, each (3, 3)."""
-    heading, x, y = float(first[2]), float(second[0]), float(second[1])
-    cos, sin = math.cos(heading), math.sin(heading)
+    heading = float(first[2])
+    x = float(second[0])
+    y = float(second[1])
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     by_first = np.array(
         [[1.0, 0.0, -sin * x - cos * y], [0.0, 1.0, cos * x - sin * y], [0.0, 0.0, 1.0]]
     )
@@ -80,7 +87,8 @@ def compose_jacobians(first: FloatArray, second: FloatArray) -> tuple[FloatArray
 
 def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
     """Take points (n, 2) from the frame of ``pose`` into the frame that ``pose`` is given in."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     rotation = np.array([[cos, sin], [-sin, cos]])
     return np.asarray(points @ rotation + pose[:2])
 
@@ -89,7 +97,8 @@ def turned(covariances: FloatArray, heading: float) -> FloatArray:
     """Covariances (..., 3, 3) of poses, as they are in a frame from which their own frame is turned
     by a heading.
     """
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(turn @ covariances @ turn.T)
 
@@ -140,7 +149,9 @@ def arc_derivatives(distance: float, turn: float) -> tuple[tuple[float, float], 
     numbers.
     """
     half = 0.5 * turn
-    cos, sin, sinc = math.cos(half), math.sin(half), _sinc(half)
+    cos = math.cos(half)
+    sin = math.sin(half)
+    sinc = _sinc(half)
     chord_by_turn = 0.5 * distance * _sinc_derivative(half)
     chord = distance * sinc
     return (
@@ -159,7 +170,8 @@ def wheels_to_arc(wheels: FloatArray, axle: float) -> tuple[float, float]:
     """Distance (m) and turn (rad) of a differential drive from its left and right wheel travel
     (m).
     """
-    left, right = float(wheels[0]), float(wheels[1])
+    left = float(wheels[0])
+    right = float(wheels[1])
     return 0.5 * (left + right), (right - left) / axle
 
 

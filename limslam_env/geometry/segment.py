@@ -29,7 +29,8 @@ def inside_polygon(
     points: FloatArray, polygon: FloatArray
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Which points (n, 2) lie inside a simple polygon (k, 2), by the crossing-number rule."""
-    x, y = points[:, 0, None], points[:, 1, None]
+    x = points[:, 0, None]
+    y = points[:, 1, None]
     x1, y1, x2, y2 = polygon_edges(polygon).T
     straddles = (y1 > y) != (y2 > y)
     with np.errstate(divide="ignore", invalid="ignore"):

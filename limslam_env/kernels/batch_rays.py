@@ -20,7 +20,9 @@ from limslam_env.kernels.readings import ANGLE, LONGEST_RANGE, NOTHING, OFFSET, 
 MOST_LANES = 64
 """Largest number of lanes for which :func:`find_unseen` has bits."""
 
-_NONE, _ONE, _ALL = np.uint64(0), np.uint64(1), ~np.uint64(0)
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_ALL = ~np.uint64(0)
 
 # Cells, for rounding: a look for unseen cells may take in more cells than a ray crosses, but no
 # less. It has to be far less than a ray's margin, or the cells behind walls would be looked at.
@@ -45,11 +47,13 @@ def aim(
     Also sets ``rays`` to rays that meet nothing. ``fan`` is that of
     :class:`limslam_env.kernels.batch_state.Robots`.
     """
-    cos, sin = math.cos(heading), math.sin(heading)
+    cos = math.cos(heading)
+    sin = math.sin(heading)
     # Each loop has few rows: the compiler must check that they do not overlap, and gives up where
     # there are many.
     for lane in range(fan.shape[1]):
-        rays[0, lane], rays[1, lane] = fan[3, lane], NOTHING
+        rays[0, lane] = fan[3, lane]
+        rays[1, lane] = NOTHING
     for lane in range(fan.shape[1]):
         aims[2, lane] = cos * fan[4, lane] - sin * fan[5, lane] + fan[6, lane]
     for lane in range(fan.shape[1]):
@@ -90,20 +94,31 @@ def cast_fan(
     half = 0
     for item in range(near_starts[cell], near_starts[cell + 1]):
         edge = first_edge + int(near_edges[item])
-        x, y = edges[edge, 0], edges[edge, 1]
-        ex, ey, which = edges[edge, 2] - x, edges[edge, 3] - y, float(edge)
+        x = edges[edge, 0]
+        y = edges[edge, 1]
+        ex = edges[edge, 2] - x
+        ey = edges[edge, 3] - y
+        which = float(edge)
         # What was nearest so far is read from one half of the rows and written to the other half:
         # the compiler would store some lanes only, and the next wall would have to wait for such a
         # store.
-        start, end, doubt = 2 * half, 2 - 2 * half, 0
+        start = 2 * half
+        end = 2 - 2 * half
+        doubt = 0
         half = 1 - half
         for lane in range(rays.shape[1]):
             # As ``meeting``, but a division takes longer than all the rest, and most need no second
             # one.
-            ax, ay, dx, dy = x - aims[0, lane], y - aims[1, lane], aims[2, lane], aims[3, lane]
-            cross, across = dx * ey - dy * ex, ax * dy - ay * dx
-            share, whole = (across if cross > 0.0 else -across), abs(cross)
-            distance, nearest = (ax * ey - ay * ex) / cross, rays[start, lane]
+            ax = x - aims[0, lane]
+            ay = y - aims[1, lane]
+            dx = aims[2, lane]
+            dy = aims[3, lane]
+            cross = dx * ey - dy * ex
+            across = ax * dy - ay * dx
+            share = across if cross > 0.0 else -across
+            whole = abs(cross)
+            distance = (ax * ey - ay * ex) / cross
+            nearest = rays[start, lane]
             is_met = (share >= 0.0) & (share <= whole)
             doubt |= (share >= -_DOUBT * whole) & (share <= whole + _DOUBT * whole) & (not is_met)
             is_met &= (distance >= 0.0) & (distance < nearest)
@@ -119,8 +134,10 @@ def cast_fan(
 @merged
 def cast_at_end(edge: int, row: int, aims: FloatArray, edges: FloatArray, rays: FloatArray) -> None:
     """:func:`cast_fan` for a wall that a ray passes very close to the end of."""
-    x, y = edges[edge, 0], edges[edge, 1]
-    ex, ey = edges[edge, 2] - x, edges[edge, 3] - y
+    x = edges[edge, 0]
+    y = edges[edge, 1]
+    ex = edges[edge, 2] - x
+    ey = edges[edge, 3] - y
     for lane in range(rays.shape[1]):
         distance, is_met = meeting(
             x - aims[0, lane], y - aims[1, lane], ex, ey, aims[2, lane], aims[3, lane]
@@ -146,11 +163,14 @@ def find_unseen(
     ``low_x`` and ``low_y`` (m) are the corner of the cells, ``cell`` (m) their side. A robot covers
     cells in this step, too: a ray may find none left where this function has found some.
     """
-    per_metre, found = 1.0 / cell, _NONE
+    per_metre = 1.0 / cell
+    found = _NONE
     for lane in range(rays.shape[1]):
-        from_x, from_y = (aims[0, lane] - low_x) * per_metre, (aims[1, lane] - low_y) * per_metre
+        from_x = (aims[0, lane] - low_x) * per_metre
+        from_y = (aims[1, lane] - low_y) * per_metre
         end = rays[0, lane] * per_metre - RAY_MARGIN
-        far_x, far_y = from_x + aims[2, lane] * end, from_y + aims[3, lane] * end
+        far_x = from_x + aims[2, lane] * end
+        far_y = from_y + aims[3, lane] * end
         nearby = unseen_nearby(
             unseen,
             env,
@@ -182,13 +202,17 @@ def cast_on(
     for number in range(len(robots.beams)):
         if not is_due(robots.beams, number, step):
             continue
-        x, y, dx, dy = aims[0, number], aims[1, number], aims[2, number], aims[3, number]
+        x = aims[0, number]
+        y = aims[1, number]
+        dx = aims[2, number]
+        dy = aims[3, number]
         if reaches_far:
             rays[0, number], rays[1, number] = first_wall(x, y, dx, dy, rays[0, number], walls)
         if len(poses) > 1:
             disc = cast_at_discs(x, y, dx, dy, rays[0, number], robot, poses, robots.radius)
             if disc < rays[0, number]:
-                rays[0, number], rays[1, number] = disc, ROBOT
+                rays[0, number] = disc
+                rays[1, number] = ROBOT
 
 
 @merged
@@ -211,10 +235,18 @@ def cover(
     ``found`` has a bit for each beam, and one for the body: whether there may be unseen cells.
     ``is_looked_for`` is whether :func:`find_unseen` has set them.
     """
-    beams, aims, rays = robots.beams, scratch.aims, scratch.rays
-    low_x, low_y, cell = worlds.areas[world, 0], worlds.areas[world, 1], worlds.areas[world, 2]
-    columns, rows, new = worlds.layout[world, 4], worlds.layout[world, 5], 0
-    x, y, radius = (x - low_x) / cell, (y - low_y) / cell, (robots.radius - BODY_MARGIN) / cell
+    beams = robots.beams
+    aims = scratch.aims
+    rays = scratch.rays
+    low_x = worlds.areas[world, 0]
+    low_y = worlds.areas[world, 1]
+    cell = worlds.areas[world, 2]
+    columns = worlds.layout[world, 4]
+    rows = worlds.layout[world, 5]
+    new = 0
+    x = (x - low_x) / cell
+    y = (y - low_y) / cell
+    radius = (robots.radius - BODY_MARGIN) / cell
     # There may be more beams than bits if nothing was looked for.
     if not is_looked_for or (found >> np.uint64(len(beams))) & _ONE:
         new += walk_disc(unseen, env, columns, rows, x, y, radius)
@@ -223,12 +255,11 @@ def cover(
             continue
         if not is_due(beams, number, step):
             continue
-        x, y, end = (
-            (aims[0, number] - low_x) / cell,
-            (aims[1, number] - low_y) / cell,
-            rays[0, number] / cell,
-        )
-        dx, dy = aims[2, number], aims[3, number]
+        x = (aims[0, number] - low_x) / cell
+        y = (aims[1, number] - low_y) / cell
+        end = rays[0, number] / cell
+        dx = aims[2, number]
+        dy = aims[3, number]
         new += walk_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
     return new
 
@@ -251,13 +282,13 @@ def trace(
     ``poses`` (m, 3) are those of its environment. Only the rays of beams that measure in this step
     are complete.
     """
-    aims, rays, layout = scratch.aims, scratch.rays, worlds.layout
-    x, y, near_cell, cell = (
-        poses[robot, 0],
-        poses[robot, 1],
-        layout[world, 6],
-        worlds.areas[world, 2],
-    )
+    aims = scratch.aims
+    rays = scratch.rays
+    layout = worlds.layout
+    x = poses[robot, 0]
+    y = poses[robot, 1]
+    near_cell = layout[world, 6]
+    cell = worlds.areas[world, 2]
     aim(robots.fan, x, y, poses[robot, 2], aims, rays)
     if near_cell >= 0:
         column = min(max(floored((x - walls.low_x) / walls.side), 0), walls.columns - 1)
@@ -266,7 +297,8 @@ def trace(
         cast_fan(
             listed, layout[world, 0], aims, walls.edges, worlds.near_starts, worlds.near_edges, rays
         )
-    is_looked_for, found = robots.is_small and near_cell >= 0, _ALL
+    is_looked_for = robots.is_small and near_cell >= 0
+    found = _ALL
     if is_looked_for:
         found = find_unseen(
             env,
@@ -297,15 +329,16 @@ def widen(
     """Let each beam of a robot end at the nearest of what the rays of its cone meet
     (:func:`nearest_in_cone`).
     """
-    beams, aims, rays = robots.beams, scratch.aims, scratch.rays
+    beams = robots.beams
+    aims = scratch.aims
+    rays = scratch.rays
     for number in range(len(beams)):
         if not is_due(beams, number, step):
             continue
-        offset, reach = beams[number, OFFSET], beams[number, LONGEST_RANGE] + beams[number, OFFSET]
-        x, y = (
-            aims[0, number] + offset * aims[2, number],
-            aims[1, number] + offset * aims[3, number],
-        )
+        offset = beams[number, OFFSET]
+        reach = beams[number, LONGEST_RANGE] + beams[number, OFFSET]
+        x = aims[0, number] + offset * aims[2, number]
+        y = aims[1, number] + offset * aims[3, number]
         rays[0, number], rays[1, number] = nearest_in_cone(
             robot,
             rays[0, number],

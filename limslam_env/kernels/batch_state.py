@@ -231,7 +231,8 @@ def scratch_for(num_robots: int, num_beams: int) -> Scratch:
     """Scratch memory for environments of a number of robots with a number of beams."""
     lanes = lanes_for(num_beams)
     turned, travel, before = (np.zeros((num_robots, 2)) for _ in range(3))
-    deep, new_cells = np.zeros(num_robots, dtype=bool), np.zeros(num_robots, dtype=np.int64)
+    deep = np.zeros(num_robots, dtype=bool)
+    new_cells = np.zeros(num_robots, dtype=np.int64)
     return Scratch(
         np.zeros((4, lanes)), np.zeros((4, lanes)), turned, travel, before, deep, new_cells
     )
@@ -253,12 +254,13 @@ def fan_of(beams: FloatArray, radius: float) -> FloatArray:
     """
     fan = np.zeros((8, lanes_for(len(beams))))
     count = len(beams)
-    fan[0, :count], fan[1, :count], fan[2, :count] = (
-        beams[:, FROM_X],
-        beams[:, FROM_Y],
-        beams[:, OFFSET],
-    )
+    fan[0, :count] = beams[:, FROM_X]
+    fan[1, :count] = beams[:, FROM_Y]
+    fan[2, :count] = beams[:, OFFSET]
     fan[3, :count] = beams[:, LONGEST_RANGE] + beams[:, OFFSET]
-    fan[4, :count], fan[5, :count] = beams[:, TOWARDS_X], beams[:, TOWARDS_Y]
-    fan[3, count:], fan[6, count:], fan[7, count:] = -2.0 * radius, 1.0, radius
+    fan[4, :count] = beams[:, TOWARDS_X]
+    fan[5, :count] = beams[:, TOWARDS_Y]
+    fan[3, count:] = -2.0 * radius
+    fan[6, count:] = 1.0
+    fan[7, count:] = radius
     return fan

@@ -15,7 +15,9 @@ from limslam_env.kernels.random_numbers import GOLDEN, mixed, normal, unit
 from limslam_env.kernels.rays import Walls
 from limslam_env.kernels.readings import is_due, noisy_reading, reported_travel, way_over_ground
 
-SKIP, STEP, BEGIN = 0, 1, 2
+SKIP = 0
+STEP = 1
+BEGIN = 2
 """What an environment does: nothing, a step, or the first observation of a new episode."""
 
 _ONE = np.uint64(1)
@@ -89,17 +91,16 @@ def move(
     """Move the robots of one environment along their arcs, and separate them from what they
     touch.
     """
-    poses, clearances, before, travel = (
-        episodes.poses,
-        episodes.clearances,
-        scratch.before,
-        scratch.travel,
-    )
+    poses = episodes.poses
+    clearances = episodes.clearances
+    before = scratch.before
+    travel = scratch.travel
     # A move of more than the radius could end beyond a wall; an arc in parts is the same arc.
     parts = 1 if longest <= LONGEST_MOVE * radius else -floored(-longest / (LONGEST_MOVE * radius))
     for _ in range(parts):
         for robot in range(len(travel)):
-            before[robot, 0], before[robot, 1] = poses[env, robot, 0], poses[env, robot, 1]
+            before[robot, 0] = poses[env, robot, 0]
+            before[robot, 1] = poses[env, robot, 1]
             poses[env, robot, 0], poses[env, robot, 1], poses[env, robot, 2] = arc_end(
                 before[robot, 0],
                 before[robot, 1],
@@ -130,13 +131,18 @@ def read_beams(
 
     ``own`` is the state of the robot's random numbers; numbers that no noise needs are not drawn.
     """
-    noise, beams, rays = episodes.noise, robots.beams, scratch.rays
+    noise = episodes.noise
+    beams = robots.beams
+    rays = scratch.rays
     is_noisy = noise[env, tables.RANGE_STD] > 0.0 or noise[env, tables.STD_GROWTH] > 0.0
     is_dropping = noise[env, tables.DROPOUT] > 0.0
     for number in range(len(beams)):
         if not is_due(beams, number, episodes.steps[env]):
             continue
-        hit, place, random, uniform = int(rays[1, number]), np.uint64(2 * number + 4), 0.0, 1.0
+        hit = int(rays[1, number])
+        place = np.uint64(2 * number + 4)
+        random = 0.0
+        uniform = 1.0
         if is_noisy:
             random = normal(mixed(own + place * GOLDEN))
         if is_dropping:
@@ -164,7 +170,8 @@ def read_encoders(
     """Set the wheel travel that a robot's encoders report for wheels that ``turned_by`` (m, 2),
     m.
     """
-    noise, unreported = episodes.noise, episodes.unreported
+    noise = episodes.noise
+    unreported = episodes.unreported
     for wheel in range(2):
         random = 0.0
         if turned_by[robot, wheel] != 0.0 and noise[env, tables.WHEEL_VARIANCE] > 0.0:
@@ -196,10 +203,12 @@ def hand_out(
     ``does`` is what the environment does, and ``task`` what is asked of the robots.
     Rewards and ends are those of :mod:`limslam_env.config`.
     """
-    world, step = episodes.world_of[env], episodes.steps[env]
+    world = episodes.world_of[env]
+    step = episodes.steps[env]
     area = worlds.areas[world, 2] * worlds.areas[world, 2]
     for robot in range(len(scratch.new_cells)):
-        new, contact = scratch.new_cells[robot], episodes.contact[env, robot]
+        new = scratch.new_cells[robot]
+        contact = episodes.contact[env, robot]
         episodes.covered[env] += new
         worth = task.new_area * (new * area) + task.step + task.collision * contact
         results.rewards[env, robot] = worth if does == STEP else 0.0
@@ -212,7 +221,8 @@ def hand_out(
             results.ranges[env, robot, beam] = episodes.ranges[env, robot, beam]
             results.wall_seen[env, robot, beam] = episodes.hits[env, robot, beam]
     coverage = episodes.covered[env] / worlds.totals[world]
-    results.time[env], results.coverage[env] = step * robots.control_period, coverage
+    results.time[env] = step * robots.control_period
+    results.coverage[env] = coverage
     results.terminated[env] = does == STEP and coverage >= task.goal
     results.truncated[env] = does == STEP and step >= task.max_steps
 
@@ -252,7 +262,8 @@ def advance_one(
         longest = turn_wheels(env, state, actions, robots.wheel_travel, episodes.noise, scratch)
         move(env, longest, robots.radius, walls, episodes, scratch)
     for robot in range(len(scratch.new_cells)):
-        own, poses = state + np.uint64(robot << 20) * GOLDEN, episodes.poses[env]
+        own = state + np.uint64(robot << 20) * GOLDEN
+        poses = episodes.poses[env]
         scratch.new_cells[robot] = trace(
             env, robot, world, step, robots, worlds, walls, poses, episodes.unseen, scratch
         )

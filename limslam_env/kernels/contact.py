@@ -31,13 +31,15 @@ def nearest_wall(x: float, y: float, outlook: float, walls: Walls) -> tuple[floa
     """Distance (m) of the nearest wall and the unit vector from it; ``outlook`` (m) and 0 if no
     wall is that near.
     """
-    edges, cell_starts, cell_edges, side = (
-        walls.edges,
-        walls.cell_starts,
-        walls.cell_edges,
-        walls.side,
-    )
-    best, best_x, best_y, normal_x, normal_y = outlook * outlook, 0.0, 0.0, 0.0, 0.0
+    edges = walls.edges
+    cell_starts = walls.cell_starts
+    cell_edges = walls.cell_edges
+    side = walls.side
+    best = outlook * outlook
+    best_x = 0.0
+    best_y = 0.0
+    normal_x = 0.0
+    normal_y = 0.0
     first = max(floored((x - outlook - walls.low_x) / side), 0)
     last = min(floored((x + outlook - walls.low_x) / side), walls.columns - 1)
     for row in range(
@@ -48,19 +50,27 @@ def nearest_wall(x: float, y: float, outlook: float, walls: Walls) -> tuple[floa
         # Cells of a row lie side by side, and so do their walls.
         for item in range(cell_starts[cell + first], cell_starts[cell + last + 1]):
             edge = cell_edges[item]
-            ax, ay = x - edges[edge, 0], y - edges[edge, 1]
-            ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
+            ax = x - edges[edge, 0]
+            ay = y - edges[edge, 1]
+            ex = edges[edge, 2] - edges[edge, 0]
+            ey = edges[edge, 3] - edges[edge, 1]
             fraction = min(max((ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
-            dx, dy = ax - fraction * ex, ay - fraction * ey
+            dx = ax - fraction * ex
+            dy = ay - fraction * ey
             squared = dx * dx + dy * dy
             if squared < best:
-                best, best_x, best_y, normal_x, normal_y = squared, dx, dy, ey, -ex
+                best = squared
+                best_x = dx
+                best_y = dy
+                normal_x = ey
+                normal_y = -ex
     distance = math.sqrt(best)
     if distance >= outlook:
         return outlook, 0.0, 0.0
     if distance <= TOUCH:
         # The centre lies on the wall: both normals are equally good.
-        best_x, best_y = normal_x, normal_y
+        best_x = normal_x
+        best_y = normal_y
     size = math.sqrt(best_x * best_x + best_y * best_y)
     return distance, best_x / size, best_y / size
 
@@ -72,14 +82,17 @@ def nearest_thing(
     """As :func:`nearest_wall`, for walls and other robots around one robot; and which robot it is,
     or -1.
     """
-    x, y = places[robot, 0], places[robot, 1]
+    x = places[robot, 0]
+    y = places[robot, 1]
     distance, away_x, away_y = nearest_wall(x, y, outlook, walls)
     which = -1
     for other in range(len(places)):
-        dx, dy = x - places[other, 0], y - places[other, 1]
+        dx = x - places[other, 0]
+        dy = y - places[other, 1]
         between = math.hypot(dx, dy)
         if other != robot and between - radius < distance:
-            distance, which = between - radius, other
+            distance = between - radius
+            which = other
             away_x, away_y = (dx / between, dy / between) if between > 0.0 else (1.0, 0.0)
     return distance, away_x, away_y, which
 
@@ -133,5 +146,6 @@ def separate(  # noqa: C901 (walls, robots, and pushes that do not converge)
             deep[robot] = distance < radius - DEEPEST
         for robot in range(len(places)):
             if deep[robot]:
-                places[robot, 0], places[robot, 1] = before[robot, 0], before[robot, 1]
+                places[robot, 0] = before[robot, 0]
+                places[robot, 1] = before[robot, 1]
     return 0.0

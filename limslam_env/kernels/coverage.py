@@ -31,14 +31,14 @@ TILE = 8
 LONGEST_LOOK = 16.0
 """Longest side of a rectangle, in cells, that three by three tiles hold wherever it lies."""
 
-_NONE, _ONE, _TWO, _EIGHT, _SIXTEEN = (
-    np.uint64(0),
-    np.uint64(1),
-    np.uint64(2),
-    np.uint64(8),
-    np.uint64(16),
-)
-_FULL, _BYTE, _EACH_ROW = np.uint64(0xFFFFFF), np.uint64(0xFF), np.uint64(0x0101010101010101)
+_NONE = np.uint64(0)
+_ONE = np.uint64(1)
+_TWO = np.uint64(2)
+_EIGHT = np.uint64(8)
+_SIXTEEN = np.uint64(16)
+_FULL = np.uint64(0xFFFFFF)
+_BYTE = np.uint64(0xFF)
+_EACH_ROW = np.uint64(0x0101010101010101)
 
 # Whole rows of a tile, for each set of rows as bits.
 _ROW_MASKS = np.array(
@@ -59,12 +59,14 @@ def mark_ray(
 ) -> int:
     """Set every cell that a ray crosses; the number of coverable cells that are new."""
     cell = area[2]
-    x, y = (x - area[0]) / cell, (y - area[1]) / cell
+    x = (x - area[0]) / cell
+    y = (y - area[1]) / cell
     end = reach / cell - RAY_MARGIN
     rows, columns = seen.shape
     column, column_step, next_column, per_column = crossings(x, dx, 1.0)
     row, row_step, next_row, per_row = crossings(y, dy, 1.0)
-    travelled, new = 0.0, 0
+    travelled = 0.0
+    new = 0
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns and not seen[row, column]:
             seen[row, column] = True
@@ -94,7 +96,9 @@ def mark_disc(
 ) -> int:
     """Set every cell that a body touches; the number of coverable cells that are new."""
     cell = area[2]
-    x, y, radius = (x - area[0]) / cell, (y - area[1]) / cell, (radius - BODY_MARGIN) / cell
+    x = (x - area[0]) / cell
+    y = (y - area[1]) / cell
+    radius = (radius - BODY_MARGIN) / cell
     rows, columns = seen.shape
     new = 0
     for row in range(math.floor(y - radius), math.floor(y + radius) + 1):
@@ -128,15 +132,19 @@ def unseen_nearby(
     joined, so that other numbers than 0 mean nothing more. No branches, no loops, no signed places
     in arrays: this is done for each ray and each body in each step, several at once.
     """
-    column0, column1 = max(int(low_x), 0), min(int(high_x), tile_columns * TILE - 1)
-    row0, row1 = max(int(low_y), 0), min(int(high_y), tile_rows * TILE - 1)
-    tile_column, tile_row = column0 >> 3, row0 >> 3
+    column0 = max(int(low_x), 0)
+    column1 = min(int(high_x), tile_columns * TILE - 1)
+    row0 = max(int(low_y), 0)
+    row1 = min(int(high_y), tile_rows * TILE - 1)
+    tile_column = column0 >> 3
+    tile_row = row0 >> 3
     columns = _between(column0 - TILE * tile_column, column1 - TILE * tile_column)
     rows = _between(row0 - TILE * tile_row, row1 - TILE * tile_row)
     left_columns = (columns & _BYTE) * _EACH_ROW
     middle_columns = ((columns >> _EIGHT) & _BYTE) * _EACH_ROW
     right_columns = ((columns >> _SIXTEEN) & _BYTE) * _EACH_ROW
-    line, low = np.uint64(env), np.uint64(tile_row * tile_columns + tile_column)
+    line = np.uint64(env)
+    low = np.uint64(tile_row * tile_columns + tile_column)
     middle = low + np.uint64(tile_columns)
     high = middle + np.uint64(tile_columns)
     low_words = (left[line, low] & left_columns) | (left[line, low + _ONE] & middle_columns)
@@ -188,10 +196,12 @@ def walk_ray(
 
     The counterpart of :func:`mark_ray`. Lengths are in cells; the ray lies in the grid.
     """
-    columns, rows = tile_columns * TILE, tile_rows * TILE
+    columns = tile_columns * TILE
+    rows = tile_rows * TILE
     column, column_step, next_column, per_column = crossings(x, dx, 1.0)
     row, row_step, next_row, per_row = crossings(y, dy, 1.0)
-    travelled, new = 0.0, 0
+    travelled = 0.0
+    new = 0
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns:
             new += take(left, env, tile_columns, column, row)
@@ -214,7 +224,8 @@ def walk_disc(
 
     The counterpart of :func:`mark_disc`. Lengths are in cells.
     """
-    columns, rows = tile_columns * TILE, tile_rows * TILE
+    columns = tile_columns * TILE
+    rows = tile_rows * TILE
     new = 0
     for row in range(max(floored(y - radius), 0), min(floored(y + radius), rows - 1) + 1):
         for column in range(max(floored(x - radius), 0), min(floored(x + radius), columns - 1) + 1):

@@ -24,21 +24,29 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
     """Clear the cells whose centres lie less than ``radius`` (m) from an edge; ``space``: corner x,
     y and cell, m.
     """
-    low_x, low_y, cell = space[0], space[1], space[2]
+    low_x = space[0]
+    low_y = space[1]
+    cell = space[2]
     rows, columns = free.shape
     reach = radius + cell
     for edge in range(len(edges)):
-        x1, y1, x2, y2 = edges[edge, 0], edges[edge, 1], edges[edge, 2], edges[edge, 3]
-        ex, ey = x2 - x1, y2 - y1
+        x1 = edges[edge, 0]
+        y1 = edges[edge, 1]
+        x2 = edges[edge, 2]
+        y2 = edges[edge, 3]
+        ex = x2 - x1
+        ey = y2 - y1
         squared = max(ex * ex + ey * ey, 1e-300)
         first_row, end_row = clipped(min(y1, y2) - reach, max(y1, y2) + reach, low_y, cell, rows)
         for row in range(first_row, end_row):
             above = low_y + (row + 0.5) * cell - y1
-            start, end = 0.0, 1.0
+            start = 0.0
+            end = 1.0
             if abs(ey) >= 1e-12:
                 start = min(max((above - reach) / ey, 0.0), 1.0)
                 end = min(max((above + reach) / ey, 0.0), 1.0)
-            from_x, to_x = x1 + start * ex, x1 + end * ex
+            from_x = x1 + start * ex
+            to_x = x1 + end * ex
             first, last = clipped(
                 min(from_x, to_x) - reach, max(from_x, to_x) + reach, low_x, cell, columns
             )
@@ -47,7 +55,8 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
                     continue
                 aside = low_x + (column + 0.5) * cell - x1
                 share = min(max((aside * ex + above * ey) / squared, 0.0), 1.0)
-                dx, dy = aside - share * ex, above - share * ey
+                dx = aside - share * ex
+                dy = above - share * ey
                 free[row, column] = math.sqrt(dx * dx + dy * dy) >= radius
 
 
@@ -60,29 +69,36 @@ def clear_inside(
     ``corners`` (c, 2) are in m, ``space`` as for :func:`clear_near_walls`; ``crossed`` (c,) is
     scratch memory.
     """
-    low_x, low_y, cell = space[0], space[1], space[2]
+    low_x = space[0]
+    low_y = space[1]
+    cell = space[2]
     rows, columns = free.shape
-    left, right, bottom, top = np.inf, -np.inf, np.inf, -np.inf
+    left = np.inf
+    right = -np.inf
+    bottom = np.inf
+    top = -np.inf
     for corner in range(len(corners)):
-        left, right = min(left, corners[corner, 0]), max(right, corners[corner, 0])
-        bottom, top = min(bottom, corners[corner, 1]), max(top, corners[corner, 1])
+        left = min(left, corners[corner, 0])
+        right = max(right, corners[corner, 0])
+        bottom = min(bottom, corners[corner, 1])
+        top = max(top, corners[corner, 1])
     first_row, end_row = clipped(bottom, top, low_y, cell, rows)
     first, last = clipped(left, right, low_x, cell, columns)
     for row in range(first_row, end_row):
-        y, count = low_y + (row + 0.5) * cell, 0
+        y = low_y + (row + 0.5) * cell
+        count = 0
         for corner in range(len(corners)):
             beyond = corner + 1 if corner + 1 < len(corners) else 0
-            x1, y1, x2, y2 = (
-                corners[corner, 0],
-                corners[corner, 1],
-                corners[beyond, 0],
-                corners[beyond, 1],
-            )
+            x1 = corners[corner, 0]
+            y1 = corners[corner, 1]
+            x2 = corners[beyond, 0]
+            y2 = corners[beyond, 1]
             if (y1 <= y) != (y2 <= y):
                 crossed[count] = ((x2 - x1) * (y - y1)) / (y2 - y1) + x1
                 count += 1
         for column in range(first, last):
-            x, is_inside = low_x + (column + 0.5) * cell, False
+            x = low_x + (column + 0.5) * cell
+            is_inside = False
             for number in range(count):
                 is_inside = is_inside != (x < crossed[number])
             if is_inside:
@@ -104,14 +120,15 @@ def look_around(
     """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the
     region at once.
     """
-    low_x, low_y, side = space[0], space[1], space[2]
+    low_x = space[0]
+    low_y = space[1]
+    side = space[2]
     rows, columns = region.shape
     for view in range(len(views)):
-        dx, dy = views[view, 0], views[view, 1]
-        column, row = (
-            math.floor((x + 1.5 * side * dx - low_x) / side),
-            math.floor((y + 1.5 * side * dy - low_y) / side),
-        )
+        dx = views[view, 0]
+        dy = views[view, 1]
+        column = math.floor((x + 1.5 * side * dx - low_x) / side)
+        row = math.floor((y + 1.5 * side * dy - low_y) / side)
         if not (0 <= row < rows and 0 <= column < columns and region[row, column]):
             distance, _ = first_wall(x, y, dx, dy, reach, walls)
             mark_ray(coverable, coverable, area, x, y, dx, dy, distance)
@@ -150,9 +167,13 @@ def look_out(
         Scratch memory (rows, columns), all false, with a cell for each of the coverage around the
         region.
     """
-    low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
+    low_x = space[0]
+    low_y = space[1]
+    side = space[2]
+    cell = area[2]
     rows, columns = region.shape
-    first_x, first_y = math.floor(low_x / cell), math.floor(low_y / cell)
+    first_x = math.floor(low_x / cell)
+    first_y = math.floor(low_y / cell)
     for row in range(rows):
         y = low_y + (row + 0.5) * side
         for column in range(columns):

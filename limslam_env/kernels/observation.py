@@ -111,23 +111,30 @@ def drive_and_observe(
             return False
     # Numbers are taken out of the arrays one by one: a slice costs as much as a ray.
     for robot in range(len(poses)):
-        body_x, body_y, heading = poses[robot, 0], poses[robot, 1], poses[robot, 2]
-        cos, sin = math.cos(heading), math.sin(heading)
+        body_x = poses[robot, 0]
+        body_y = poses[robot, 1]
+        heading = poses[robot, 2]
+        cos = math.cos(heading)
+        sin = math.sin(heading)
         new = mark_disc(seen, coverable, area, body_x, body_y, radius)
         for number in range(len(beams)):
             if not is_due(beams, number, step):
                 continue
-            offset, longest = beams[number, tables.OFFSET], beams[number, tables.LONGEST_RANGE]
+            offset = beams[number, tables.OFFSET]
+            longest = beams[number, tables.LONGEST_RANGE]
             # The rim may touch a wall, and a ray from there start behind it: rays start inside the
             # body.
             rim_x, rim_y = turned(
                 beams[number, tables.FROM_X], beams[number, tables.FROM_Y], cos, sin
             )
-            rim_x, rim_y = body_x + rim_x, body_y + rim_y
+            rim_x = body_x + rim_x
+            rim_y = body_y + rim_y
             dx, dy = turned(
                 beams[number, tables.TOWARDS_X], beams[number, tables.TOWARDS_Y], cos, sin
             )
-            x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
+            x = rim_x - offset * dx
+            y = rim_y - offset * dy
+            reach = longest + offset
             distance, hit = measure(robot, poses, radius, x, y, dx, dy, reach, walls)
             new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
             if noise[tables.CONE] > 0.0:

@@ -19,20 +19,27 @@ Words: TypeAlias = NDArray[np.uint64]
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Increment between two states of the sequence."""
 
-_MIX_1, _MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-_S11, _S27, _S30, _S31 = np.uint64(11), np.uint64(27), np.uint64(30), np.uint64(31)
-_ONE, _LAYER = np.uint64(1), np.uint64(127)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_S11 = np.uint64(11)
+_S27 = np.uint64(27)
+_S30 = np.uint64(30)
+_S31 = np.uint64(31)
+_ONE = np.uint64(1)
+_LAYER = np.uint64(127)
 _UNIT = 2.0**-53
 
 # The ziggurat: where its layers and its tail begin, and the area of each.
 _NUM_LAYERS = 128
-_TAIL, _VOLUME = 3.442619855899, 9.91256303526217e-3
+_TAIL = 3.442619855899
+_VOLUME = 9.91256303526217e-3
 
 
 def _layer_edges() -> FloatArray:
     edges = np.zeros(_NUM_LAYERS + 1)
     density = math.exp(-0.5 * _TAIL * _TAIL)
-    edges[0], edges[1] = _VOLUME / density, _TAIL
+    edges[0] = _VOLUME / density
+    edges[1] = _TAIL
     for layer in range(2, _NUM_LAYERS):
         density += _VOLUME / edges[layer - 1]
         edges[layer] = math.sqrt(-2.0 * math.log(density))
@@ -166,27 +173,30 @@ def draw_start(
     x, y, cell side (m) and columns. Robots are ``apart`` (m) at least. Of ``poses`` (m, 3), m and
     rad, those that are given are set already. For all robots together so many places are tried.
     """
-    columns, state, placed = int(space[3]), key, num_given
+    columns = int(space[3])
+    state = key
+    placed = num_given
     for _ in range(tries):
         if placed == len(poses) or count == 0:
             break
         place = int(unit(mixed(state + GOLDEN)) * count)
-        run, end = 0, len(runs)
+        run = 0
+        end = len(runs)
         while end - run > 1:
             middle = (run + end) // 2
             run, end = (middle, end) if runs[middle, 1] <= place else (run, middle)
         cell = int(runs[run, 0]) + place - int(runs[run, 1])
         heading = (2.0 * unit(mixed(state + GOLDEN + GOLDEN)) - 1.0) * math.pi
         state = state + GOLDEN + GOLDEN
-        x, y = (
-            space[0] + (cell % columns + 0.5) * space[2],
-            space[1] + (cell // columns + 0.5) * space[2],
-        )
+        x = space[0] + (cell % columns + 0.5) * space[2]
+        y = space[1] + (cell // columns + 0.5) * space[2]
         is_free = True
         for other in range(placed):
             is_free &= math.hypot(poses[other, 0] - x, poses[other, 1] - y) > apart
         if is_free:
-            poses[placed, 0], poses[placed, 1], poses[placed, 2] = x, y, heading
+            poses[placed, 0] = x
+            poses[placed, 1] = y
+            poses[placed, 2] = heading
             placed += 1
     return placed == len(poses)
 

@@ -59,20 +59,25 @@ def list_walls(
     with one of ``cell_starts[-1]`` places it fills that. ``taken`` (cells,) is scratch memory, all
     0 before.
     """
-    edges, columns, rows, side = walls.edges, walls.columns, walls.rows, walls.side
+    edges = walls.edges
+    columns = walls.columns
+    rows = walls.rows
+    side = walls.side
     is_filling = len(cell_edges) > 0
     for edge in range(len(edges)):
-        x1, y1, x2, y2 = edges[edge, 0], edges[edge, 1], edges[edge, 2], edges[edge, 3]
-        normal_x, normal_y = y1 - y2, x2 - x1
+        x1 = edges[edge, 0]
+        y1 = edges[edge, 1]
+        x2 = edges[edge, 2]
+        y2 = edges[edge, 3]
+        normal_x = y1 - y2
+        normal_y = x2 - x1
         # Half a cell's width across the wall. Walls that run along the border of a cell are in
         # both.
         half = 0.5 * side * (abs(normal_x) + abs(normal_y)) + border * math.hypot(
             normal_x, normal_y
         )
-        squared, farthest = (
-            normal_x * normal_x + normal_y * normal_y,
-            border + _HALF_DIAGONAL * side,
-        )
+        squared = normal_x * normal_x + normal_y * normal_y
+        farthest = border + _HALF_DIAGONAL * side
         for row in range(
             max(math.floor((min(y1, y2) - border - walls.low_y) / side), 0),
             min(math.floor((max(y1, y2) + border - walls.low_y) / side), rows - 1) + 1,
@@ -81,7 +86,8 @@ def list_walls(
                 max(math.floor((min(x1, x2) - border - walls.low_x) / side), 0),
                 min(math.floor((max(x1, x2) + border - walls.low_x) / side), columns - 1) + 1,
             ):
-                x, y = walls.low_x + (column + 0.5) * side, walls.low_y + (row + 0.5) * side
+                x = walls.low_x + (column + 0.5) * side
+                y = walls.low_y + (row + 0.5) * side
                 if abs((x - x1) * normal_x + (y - y1) * normal_y) > half:
                     continue
                 # The ends of the wall, too, must come that near.
@@ -136,20 +142,30 @@ def first_wall(
     The ray starts inside the grid of the walls' cells, goes from cell to cell, and stops in the
     first cell with a hit.
     """
-    edges, cell_starts, cell_edges = walls.edges, walls.cell_starts, walls.cell_edges
-    side, columns, rows, first_cell = walls.side, walls.columns, walls.rows, walls.first_cell
+    edges = walls.edges
+    cell_starts = walls.cell_starts
+    cell_edges = walls.cell_edges
+    side = walls.side
+    columns = walls.columns
+    rows = walls.rows
+    first_cell = walls.first_cell
     column, column_step, next_column, per_column = crossings((x - walls.low_x) / side, dx, side)
     row, row_step, next_row, per_row = crossings((y - walls.low_y) / side, dy, side)
-    best, hit, travelled = reach, NOTHING, 0.0
+    best = reach
+    hit = NOTHING
+    travelled = 0.0
     while travelled <= best and 0 <= column < columns and 0 <= row < rows:
         cell = first_cell + row * columns + column
         for item in range(cell_starts[cell], cell_starts[cell + 1]):
             edge = cell_edges[item]
-            ax, ay = edges[edge, 0] - x, edges[edge, 1] - y
-            ex, ey = edges[edge, 2] - edges[edge, 0], edges[edge, 3] - edges[edge, 1]
+            ax = edges[edge, 0] - x
+            ay = edges[edge, 1] - y
+            ex = edges[edge, 2] - edges[edge, 0]
+            ey = edges[edge, 3] - edges[edge, 1]
             distance, is_met = meeting(ax, ay, ex, ey, dx, dy)
             if is_met and distance < best:
-                best, hit = distance, edge
+                best = distance
+                hit = edge
         if next_column < next_row:
             travelled = next_column
             next_column += per_column
@@ -187,7 +203,8 @@ def cast_at_discs(
     for disc in range(len(centres)):
         if disc == owner:
             continue
-        ox, oy = centres[disc, 0] - x, centres[disc, 1] - y
+        ox = centres[disc, 0] - x
+        oy = centres[disc, 1] - y
         ahead = ox * dx + oy * dy
         aside = radius * radius - (ox * ox + oy * oy - ahead * ahead)
         if aside > 0.0 and ahead > 0.0:
@@ -239,12 +256,14 @@ def nearest_in_cone(
     (m).
     """
     for share in SHARES:
-        dx, dy = math.cos(angle + share * cone), math.sin(angle + share * cone)
+        dx = math.cos(angle + share * cone)
+        dy = math.sin(angle + share * cone)
         aside, other = measure(
             robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls
         )
         if aside < distance:
-            distance, hit = aside, other
+            distance = aside
+            hit = other
     return distance, hit
 
 

@@ -7,7 +7,8 @@ import math
 from limslam_env.compilation import inlined, merged
 from limslam_env.geometry import FloatArray
 
-NOTHING, ROBOT = -1, -2
+NOTHING = -1
+ROBOT = -2
 """What a beam hits that hits no wall."""
 
 FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, _, _, ANGLE, LONGEST_RANGE = range(8)
@@ -38,7 +39,8 @@ NUM_NOISES = 14
 @inlined
 def is_due(beams: FloatArray, number: int, step: int) -> bool:
     """Whether a beam measures in a step; 0 is the reset, in which all do."""
-    period, phase = beams[number, PERIOD], beams[number, PHASE]
+    period = beams[number, PERIOD]
+    phase = beams[number, PHASE]
     return period == 1.0 or step == 0 or step % int(period) == int(phase)
 
 

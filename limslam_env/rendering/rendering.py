@@ -22,7 +22,8 @@ HEIGHT = 640
 
 _MARGIN = 30
 _FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.42
-_NARROWEST, _WIDEST = 420, 1600
+_NARROWEST = 420
+_WIDEST = 1600
 _SHIFT = 4  # OpenCV draws at 1/16 pixel
 _FAR = 100_000  # pixels
 _OUTSIDE_GAP = 0.30  # m; what is narrower does not let the outside in
@@ -31,10 +32,18 @@ _TRAIL_POINTS = 2000
 Image: TypeAlias = NDArray[np.uint8]
 Colour: TypeAlias = tuple[int, int, int]
 
-_PAPER, _UNSEEN, _SEEN = (250, 250, 249), (222, 227, 233), (252, 248, 238)
-_WALL, _OBSTACLE = (47, 55, 69), (174, 183, 195)
-_WALL_HIT, _ROBOT_HIT, _NO_HIT = (226, 138, 40), (190, 40, 140), (158, 184, 212)
-_BELIEF, _FRONTIER, _TEXT, _BAR = (205, 48, 66), (20, 150, 140), (86, 94, 108), (208, 213, 220)
+_PAPER = (250, 250, 249)
+_UNSEEN = (222, 227, 233)
+_SEEN = (252, 248, 238)
+_WALL = (47, 55, 69)
+_OBSTACLE = (174, 183, 195)
+_WALL_HIT = (226, 138, 40)
+_ROBOT_HIT = (190, 40, 140)
+_NO_HIT = (158, 184, 212)
+_BELIEF = (205, 48, 66)
+_FRONTIER = (20, 150, 140)
+_TEXT = (86, 94, 108)
+_BAR = (208, 213, 220)
 _ROBOTS = (
     (38, 103, 178),
     (40, 140, 92),
@@ -124,7 +133,8 @@ class _Canvas:
         corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (
             length / self.scale
         )
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        cos = math.cos(pose[2])
+        sin = math.sin(pose[2])
         self.polygon(pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]), colour)
 
 
@@ -199,11 +209,13 @@ def _background(
 def _new_canvas(world: World, least_width: int, most_width: int, least_height: int) -> _Canvas:
     """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
-    low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
+    low = corners.min(axis=0)
+    extent = np.maximum(np.ptp(corners, axis=0), 1e-3)
     scale = float(((most_width - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
     columns, rows = np.ceil(extent * scale).astype(int) + 2 * _MARGIN
     # Video codecs want even sides.
-    columns, rows = max(columns + columns % 2, least_width + least_width % 2), rows + rows % 2
+    columns = max(columns + columns % 2, least_width + least_width % 2)
+    rows = rows + rows % 2
     origin = np.array(
         [0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2]
     )
@@ -234,7 +246,8 @@ def _draw_walls(canvas: _Canvas, world: World) -> None:
 
 def _draw_scale(canvas: _Canvas) -> None:
     """A bar of a round length at the upper right."""
-    right, most = canvas.image.shape[1] - _MARGIN, 0.2 * canvas.image.shape[1] / canvas.scale
+    right = canvas.image.shape[1] - _MARGIN
+    most = 0.2 * canvas.image.shape[1] / canvas.scale
     length = max(
         size
         for size in (0.01, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
@@ -263,7 +276,8 @@ def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray) -> Image:
 
 def _draw_beams(canvas: _Canvas, state: RenderState, number: int) -> None:
     x, y, theta = state.poses[number]
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     to_world = np.array([[cos, sin], [-sin, cos]])
     origins = state.robot.beam_origins @ to_world + (x, y)
     ends = origins + state.ranges[number][:, None] * (state.robot.beam_directions @ to_world)
@@ -309,7 +323,8 @@ def _draw_ghost(
 def _draw_caption(image: Image, time: float, coverage: float) -> None:
     """Time, and the share that is covered as a bar and as a number, above the world."""
     _text(image, f"{time:.1f} s", _MARGIN, 24)
-    left, right = _MARGIN + 76, _MARGIN + 146
+    left = _MARGIN + 76
+    right = _MARGIN + 146
     cv2.rectangle(image, (left, 18), (right, 22), _BAR, -1)
     if coverage > 0.0:
         cv2.rectangle(

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import pygame
 
-_PAPER, _TEXT = (250, 250, 249), (86, 94, 108)
+_PAPER = (250, 250, 249)
+_TEXT = (86, 94, 108)
 _MESSAGE_HEIGHT = 22
 
 
@@ -34,7 +35,9 @@ class Window:
     """
 
     def __init__(self, title: str, fps: float) -> None:
-        self.title, self.fps, self.message = title, fps, ""
+        self.title = title
+        self.fps = fps
+        self.message = ""
         self._pygame = _load_pygame()
         self._clock = self._pygame.time.Clock()
         self._screen: pygame.Surface | None = None
@@ -52,7 +55,8 @@ class Window:
         """
         if self.closed:
             return
-        pygame, size = self._pygame, (image.shape[1], image.shape[0])
+        pygame = self._pygame
+        size = (image.shape[1], image.shape[0])
         if (
             self._screen is None
             or pygame.display.get_surface() is not self._screen
@@ -81,7 +85,8 @@ class Window:
         """Close the window; closing it again does nothing."""
         if self._screen is not None and self._pygame.display.get_surface() is self._screen:
             self._pygame.display.quit()
-        self._screen, self.closed = None, True
+        self._screen = None
+        self.closed = True
         self._held.clear()
 
     def _open(self, size: tuple[int, int]) -> None:

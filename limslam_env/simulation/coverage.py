@@ -57,8 +57,10 @@ def _coverage_grid(
     world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
 ) -> CoverageGrid:
     low, shape = grid_over(world.edges)
-    space, walls = world.free_space(robot.radius), build_wall_index(world.edges)
-    grid, reachable = CoverageGrid(low, np.zeros(shape, dtype=bool)), np.zeros_like(space.free)
+    space = world.free_space(robot.radius)
+    walls = build_wall_index(world.edges)
+    grid = CoverageGrid(low, np.zeros(shape, dtype=bool))
+    reachable = np.zeros_like(space.free)
     for region in regions:
         reachable |= space.labels == region
     around = np.array(space.free.shape) * (space.cell / CELL) + 3.0

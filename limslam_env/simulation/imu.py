@@ -23,13 +23,17 @@ class Imu:
     """
 
     def __init__(self, generator: np.random.Generator, noise: NoiseConfig, period: float) -> None:
-        self._generator, self._noise, self._period = generator, noise, period
+        self._generator = generator
+        self._noise = noise
+        self._period = period
         self._total: FloatArray | None = None
         self._before = np.zeros(0)
 
     def read(self, headings: FloatArray) -> ReadingArray:
         """The next readings (n, 1), rad, from -pi to pi, of robots with true headings (n,), rad."""
-        values, count, period = vars(self._noise), len(headings), self._period
+        values = vars(self._noise)
+        count = len(headings)
+        period = self._period
         if self._total is None:
             self._total = self._generator.uniform(-math.pi, math.pi, count)
         else:
@@ -37,7 +41,8 @@ class Imu:
             turns = wrap_angle(headings - self._before)
             self._total = self._total + turns + walk + values["yaw_drift"] * period
         self._before = headings.copy()
-        yaw, resolution = self._total, values["yaw_resolution"]
+        yaw = self._total
+        resolution = values["yaw_resolution"]
         if resolution:
             yaw = resolution * np.round(yaw / resolution)
         return wrap_angle(yaw).astype(np.float32)[:, None]

@@ -20,7 +20,9 @@ from limslam_env.geometry.se2 import arc_end, wrap_angle
 from limslam_env.kernels.contact import DEEPEST, LONGEST_MOVE, MAX_PUSHES, TOUCH
 from limslam_env.kernels.observation import AXLE, CLEARANCE, LONGEST
 
-_WALL, _ROBOT, _QUERY = 1, 2, 4
+_WALL = 1
+_ROBOT = 2
+_QUERY = 4
 
 # Distance up to which obstacles are searched for, m.
 _OUTLOOK = 0.5
@@ -40,7 +42,8 @@ class Physics:
     """
 
     def __init__(self, edges: FloatArray, radius: float, num_robots: int) -> None:
-        self._edges, self._radius = edges, radius
+        self._edges = edges
+        self._radius = radius
         self._space = pymunk.Space()
         self._space.iterations = 1
         for x1, y1, x2, y2 in edges.tolist():
@@ -54,13 +57,16 @@ class Physics:
             for number in range(num_robots)
         ]
         # A disc has no orientation, so pymunk does not have to know the headings.
-        self.current, self.motion = np.zeros((num_robots, 3)), np.zeros(3)
-        self.motion[AXLE], self.motion[LONGEST] = 1.0, LONGEST_MOVE * radius
+        self.current = np.zeros((num_robots, 3))
+        self.motion = np.zeros(3)
+        self.motion[AXLE] = 1.0
+        self.motion[LONGEST] = LONGEST_MOVE * radius
 
     def place(self, poses: FloatArray, axle: float) -> None:
         """Put the robots at poses (n, 3); their wheels are ``axle`` (m) apart."""
         self.current[:] = [(x, y, wrap_angle(theta)) for x, y, theta in poses.tolist()]
-        self.motion[AXLE], self.motion[CLEARANCE] = axle, 0.0
+        self.motion[AXLE] = axle
+        self.motion[CLEARANCE] = 0.0
 
     @property
     def poses(self) -> FloatArray:
@@ -157,7 +163,8 @@ class Physics:
         contact[number] = True
         if depth <= 0.0:
             return False
-        body, other = self._bodies[number], nearest.shape.body
+        body = self._bodies[number]
+        other = nearest.shape.body
         is_robot = other is not None and other.body_type == pymunk.Body.DYNAMIC
         share = 0.5 if is_robot else 1.0
         self._put(body, body.position + nearest.gradient * (depth * share))
@@ -186,4 +193,5 @@ class Physics:
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
         # The simulation holds the same arrays.
-        self.current, self.motion = state["poses"], state["motion"]
+        self.current = state["poses"]
+        self.motion = state["motion"]

@@ -36,7 +36,8 @@ def walls_around(walls: Walls, reach: float) -> tuple[IntArray, IntArray]:
     :class:`Walls` are.
     """
     count = walls.columns * walls.rows
-    starts, empty = np.zeros(count + 1, dtype=np.int64), np.zeros(0, dtype=np.int64)
+    starts = np.zeros(count + 1, dtype=np.int64)
+    empty = np.zeros(0, dtype=np.int64)
     list_walls(walls, reach, np.zeros(count, dtype=np.int64), starts, empty)
     numbers = np.empty(starts[-1], dtype=np.int64)
     list_walls(walls, reach, np.zeros(count, dtype=np.int64), starts, numbers)
@@ -51,7 +52,8 @@ def cast(
 
     A ray that hits nothing has its own length, and -1.
     """
-    distances, hits = np.empty(len(origins)), np.empty(len(origins), dtype=np.int64)
+    distances = np.empty(len(origins))
+    hits = np.empty(len(origins), dtype=np.int64)
     cast_rays(origins, directions, lengths, walls, distances, hits)
     return distances, hits
 
@@ -103,7 +105,9 @@ class StepDraws:
         num_robots: int,
         num_beams: int,
     ) -> None:
-        self._ranges, self._wheels, self._num_beams = ranges, wheels, num_beams
+        self._ranges = ranges
+        self._wheels = wheels
+        self._num_beams = num_beams
         self._shape = (_BLOCK, num_robots, num_beams + _NUM_WHEELS, 2)
         self._rows: list[FloatArray] = []
 
@@ -111,7 +115,8 @@ class StepDraws:
         """The numbers of a step, (num_robots, num_beams + 2, 2)."""
         if not self._rows:
             block = np.empty(self._shape)
-            beams, wheels = block[:, :, : self._num_beams], block[:, :, self._num_beams :]
+            beams = block[:, :, : self._num_beams]
+            wheels = block[:, :, self._num_beams :]
             for generator, part in ((self._ranges, beams), (self._wheels, wheels)):
                 part[..., 0] = generator.standard_normal(part.shape[:-1])
                 part[..., 1] = generator.random(part.shape[:-1])

@@ -75,7 +75,9 @@ class Simulation:
 
     def __init__(self, world: World, robot: RobotSpec, num_robots: int = 1) -> None:
         world.check(robot.radius)
-        self.world, self.robot, self.num_robots = world, robot, num_robots
+        self.world = world
+        self.robot = robot
+        self.num_robots = num_robots
         self.coverage_grid: CoverageGrid
         self._walls = build_wall_index(world.edges)
         self._physics = Physics(world.edges, robot.radius, num_robots)
@@ -116,7 +118,8 @@ class Simulation:
         starts, ranges, wheels, settings, _, headings = (
             np.random.default_rng(part) for part in seeds.spawn(6)
         )
-        robot, count = self.robot, self.num_robots
+        robot = self.robot
+        count = self.num_robots
         places = starting_places(self.world, robot, count, start)
         poses = drawn_starts(places, self.world, robot, count, starts)
         drawn = noise.drawn(settings)
@@ -125,18 +128,15 @@ class Simulation:
         self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
         self.coverage_grid = grid = coverage_grid(self.world, robot, poses)
-        self._total, self._seen = max(grid.total, 1), np.zeros_like(grid.coverable)
+        self._total = max(grid.total, 1)
+        self._seen = np.zeros_like(grid.coverable)
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
-        self._hits, self._ranges = (
-            np.zeros(shape, dtype=np.int64),
-            np.zeros(shape, dtype=np.float32),
-        )
+        self._hits = np.zeros(shape, dtype=np.int64)
+        self._ranges = np.zeros(shape, dtype=np.float32)
         self._travel, self._ground, self._unreported = (np.zeros((count, 2)) for _ in range(3))
-        self._reported, self._new_cells = (
-            np.zeros((count, 2), dtype=np.float32),
-            np.zeros(count, dtype=np.int64),
-        )
+        self._reported = np.zeros((count, 2), dtype=np.float32)
+        self._new_cells = np.zeros(count, dtype=np.int64)
         self._arrays = (
             self._physics.current,
             self._physics.motion,
@@ -176,7 +176,8 @@ class Simulation:
                 f"there must be an action for each of {self.num_robots} robots, not {len(actions)}"
             )
         self._steps += 1
-        draws, travel = self._draws.next(), self._travel
+        draws = self._draws.next()
+        travel = self._travel
         for robot, (left, right) in enumerate(actions):
             travel[robot, 0], travel[robot, 1] = (
                 _clipped(left) * self._farthest,
@@ -191,7 +192,8 @@ class Simulation:
     def _results(self, contact: list[bool]) -> tuple[Readings, Truth]:
         new_cells = self._new_cells.tolist()
         self._covered += sum(new_cells)
-        time, coverage = self._steps * self.robot.control_period, self._covered / self._total
+        time = self._steps * self.robot.control_period
+        coverage = self._covered / self._total
         new_area = [cells * _CELL_AREA for cells in new_cells]
         truth = Truth(self._physics.poses, time, coverage, new_area, contact, self._hits.copy())
         yaw = None if self._imu is None else self._imu.read(truth.poses[:, 2])

@@ -59,15 +59,14 @@ def starting_places(
     given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
     known, counts = known_poses(world, robot, num_robots, given[None])
     poses = known[0, : counts[0]]
-    cells, space, is_pocket = (
-        np.zeros(0, dtype=np.int64),
-        np.array([0.0, 0.0, 1.0, 1.0]),
-        np.zeros(0, dtype=bool),
-    )
+    cells = np.zeros(0, dtype=np.int64)
+    space = np.array([0.0, 0.0, 1.0, 1.0])
+    is_pocket = np.zeros(0, dtype=bool)
     if len(poses) < num_robots:
         grid = world.free_space(robot.radius)
         region = grid.region_of(poses[0, :2]) if len(poses) else grid.largest_closed_region()
-        cells, space = np.flatnonzero(region), np.array([*grid.origin, grid.cell, region.shape[1]])
+        cells = np.flatnonzero(region)
+        space = np.array([*grid.origin, grid.cell, region.shape[1]])
         is_pocket = grid.pockets(region)[region]
         if not len(cells):
             raise no_room(world, num_robots)
@@ -89,7 +88,8 @@ def known_poses(
         raise WorldError(f"{number} starts for {num_robots} robots")
     if number:
         world.check_poses(given.reshape(count * number, given.shape[2]), robot.radius)
-    poses, counts = np.zeros((count, num_robots, 3)), np.full(count, number)
+    poses = np.zeros((count, num_robots, 3))
+    counts = np.full(count, number)
     poses[:, :number] = given
     for robot_number in range(1, number):
         if not are_apart(poses[:, robot_number], poses[:, :robot_number], robot).all():

@@ -80,7 +80,8 @@ class FreeSpace:
         found[is_on_grid] = self.labels[rows[is_on_grid], columns[is_on_grid]]
         for number in np.flatnonzero(is_on_grid & (found == 0)):
             # A start may stand a fraction of a cell from the nearest free centre.
-            row, column = rows[number], columns[number]
+            row = rows[number]
+            column = columns[number]
             near = self.labels[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
             found[number] = near[near > 0][0] if (near > 0).any() else 0
         return found

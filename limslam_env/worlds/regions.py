@@ -62,10 +62,8 @@ def start_region(world: World, radius: float) -> StartRegion:
     """Measure the start region of robots of a ``radius`` (m)."""
     space = world.free_space(radius)
     closed = space.free & ~np.isin(space.labels, space.border_labels)
-    area, floor = (
-        covered_area(starting_cells(world, space), space, radius),
-        covered_area(closed, space, radius),
-    )
+    area = covered_area(starting_cells(world, space), space, radius)
+    floor = covered_area(closed, space, radius)
     around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0)))
     is_open = floor < _OPEN_SHARE * around
     return StartRegion(area, around if is_open else floor, is_open)

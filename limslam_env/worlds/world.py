@@ -192,7 +192,8 @@ class World:
         """Distance (m) of each point (n, 2) from the nearest edge, and whether it lies inside an
         obstacle.
         """
-        gaps, is_inside = np.zeros(len(points)), np.zeros(len(points), dtype=bool)
+        gaps = np.zeros(len(points))
+        is_inside = np.zeros(len(points), dtype=bool)
         parts = np.array_split(np.arange(len(points)), len(points) * len(self.edges) // _PAIRS + 1)
         for part in parts:
             gaps[part] = distances(points[part], self.edges).min(axis=1, initial=np.inf)

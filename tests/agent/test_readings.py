@@ -152,14 +152,17 @@ SIX = RobotSpec()
 
 @pytest.mark.parametrize("seed", range(5))
 def test_readings(seed: int) -> None:
-    generator, count = np.random.default_rng(seed), len(SIX.beams)
+    generator = np.random.default_rng(seed)
+    count = len(SIX.beams)
     special = np.array(
         [np.nan, np.inf, -np.inf, -0.3, 0.0, SIX.max_ranges[0], SIX.min_ranges[0], 0.01, 9.0]
     )
     values = generator.uniform(0.0, 2.0, count)
     values = np.where(generator.random(count) < 0.5, generator.choice(special, count), values)
     is_new = generator.random(count) < 0.7
-    readings, measured, hits = np.empty(count), is_new.copy(), np.zeros(count, dtype=bool)
+    readings = np.empty(count)
+    measured = is_new.copy()
+    hits = np.zeros(count, dtype=bool)
     limits = SIX.min_ranges, SIX.max_ranges, SIX.too_near, SIX.too_far
     refused = sort_readings(values, *limits, 0.0, new_repeats(count), readings, measured, hits)
     expected = as_readings(values, SIX.min_ranges, SIX.max_ranges)
@@ -188,7 +191,8 @@ def driven(split: int = 1, noise: float = 0.02) -> tuple[FloatArray, FloatArray,
 
 
 def log_of(ranges: FloatArray, wheels: FloatArray, missing: str = "auto") -> RecordedLog:
-    time, has_scan = 0.1 * np.arange(len(ranges)), np.ones(len(ranges), dtype=bool)
+    time = 0.1 * np.arange(len(ranges))
+    has_scan = np.ones(len(ranges), dtype=bool)
     return RecordedLog(SIX, time, ranges, has_scan, wheels=wheels, missing=missing)
 
 
@@ -262,10 +266,12 @@ def test_rows_between_two_scans_say_nothing_of_what_is_missing() -> None:
 
 def test_rows_in_which_no_beam_saw_anything_are_told_from_those_between_two_scans() -> None:
     beams = beams_on_rim((90.0, -90.0), 0.06, max_range=1.5)
-    robot, steps = RobotSpec(beams=beams), 300
+    robot = RobotSpec(beams=beams)
+    steps = 300
     reading = 1.2 + 0.5 * np.sin(0.1 * np.arange(steps))
     ranges = np.column_stack((reading, reading))
-    wheels, scans = np.full((steps, 2), 0.02), np.ones(steps, dtype=bool)
+    wheels = np.full((steps, 2), 0.02)
+    scans = np.ones(steps, dtype=bool)
     reported = np.where(ranges >= 1.5, NAN, ranges)
     log = RecordedLog(robot, 0.1 * np.arange(steps), reported, scans, wheels=wheels)
     np.testing.assert_array_equal(log.ranges, np.minimum(ranges, 1.5).astype(np.float32))
@@ -290,7 +296,8 @@ def test_an_unknown_meaning_is_refused() -> None:
 
 def repeated_rows(kind: str, count: int) -> FloatArray:
     """The row (n, 6) in which each reading of a log was measured."""
-    rows, beams = np.tile(np.arange(count)[:, None], (1, 6)), np.arange(6)
+    rows = np.tile(np.arange(count)[:, None], (1, 6))
+    beams = np.arange(6)
     if kind == "held":
         return rows - rows % 5
     if kind == "in turn":
@@ -314,7 +321,8 @@ def test_repeats_are_found_from_the_readings(kind: str, noise: float, resolution
     rows = repeated_rows(kind, len(ranges))
     ranges = ranges[rows, np.arange(6)]
     log = log_of(ranges, wheels)
-    is_repeat, is_wall = rows != np.arange(len(rows))[:, None], ranges < 1.45
+    is_repeat = rows != np.arange(len(rows))[:, None]
+    is_wall = ranges < 1.45
     used = ~np.isnan(log.ranges)
     assert used[1:][ranges[1:] != ranges[:-1]].all()
     # A reading that does not change for long is used again from time to time.
@@ -368,7 +376,8 @@ def test_a_mapper_uses_each_reading_once(kind: str) -> None:
     ranges = FAST_RANGES[rows, np.arange(6)]
     robot = dataclasses.replace(SIX, control_period=0.02)
     mapper = Mapper(robot, preset("consistent", NominalNoise(0.02)), START)
-    used, off = np.zeros(ranges.shape, dtype=bool), []
+    used = np.zeros(ranges.shape, dtype=bool)
+    off = []
     for row in range(len(ranges)):
         mapper.step({"ranges": ranges[row], "wheels": FAST_WHEELS[row]})
         used[row] = mapper.slam.measured
@@ -376,7 +385,8 @@ def test_a_mapper_uses_each_reading_once(kind: str) -> None:
     mapper.finish()
     assert all(mapper.slam.robots[0].holds)
     late = slice(500, None)
-    is_wall, is_repeat = ranges[late] < 1.45, (rows != np.arange(len(rows))[:, None])[late]
+    is_wall = ranges[late] < 1.45
+    is_repeat = (rows != np.arange(len(rows))[:, None])[late]
     assert used[late][is_wall & is_repeat].mean() < 0.02
     assert used[late][is_wall & ~is_repeat].mean() > 0.95
     assert mapper.slam.refused_readings == 0
@@ -392,10 +402,16 @@ def density(off: FloatArray, std: FloatArray) -> FloatArray:
 def plain_evidence(
     ranges: FloatArray, usable: BoolArray, motions: FloatArray, std: float, growth: float
 ) -> FloatArray:
-    limits, shares, slopes = SIX.max_ranges, (0.75, 0.25), ((1.0, 0.7), (2.0, 2.0))
-    seen, nothing = np.minimum(ranges, limits), ranges >= SIX.too_far
-    now, before, earlier = seen[2:], seen[1:-1], seen[:-2]
-    travel, turn = motions[2:, :1], motions[2:, 1:]
+    limits = SIX.max_ranges
+    shares = (0.75, 0.25)
+    slopes = ((1.0, 0.7), (2.0, 2.0))
+    seen = np.minimum(ranges, limits)
+    nothing = ranges >= SIX.too_far
+    now = seen[2:]
+    before = seen[1:-1]
+    earlier = seen[:-2]
+    travel = motions[2:, :1]
+    turn = motions[2:, 1:]
     shorter = np.minimum(now, before)
     variances = std**2 + (growth * shorter**2) ** 2
     base = 2.0 * variances + 0.01**2
@@ -432,7 +448,8 @@ def plain_evidence(
 
 @pytest.mark.parametrize("seed", range(3))
 def test_evidence_of_changes(seed: int) -> None:
-    generator, shape = np.random.default_rng(seed), (12, len(SIX.beams))
+    generator = np.random.default_rng(seed)
+    shape = (12, len(SIX.beams))
     ranges = np.cumsum(generator.normal(0.0, 0.03, shape), axis=0) + generator.uniform(
         0.3, 1.5, shape[1]
     )
@@ -490,14 +507,16 @@ def test_a_sensor_that_misses_nothing_has_none() -> None:
     for step in range(10, 290, 20):
         ranges[step : step + step // 20 + 2] = SIX.max_ranges
     ranges[:, 0] = np.where(np.arange(300) % 3 == 0, SIX.max_ranges[0], 0.97 * SIX.max_ranges[0])
-    ranges[::2, 1], ranges[1::2, 1] = 0.4, 1.2
+    ranges[::2, 1] = 0.4
+    ranges[1::2, 1] = 1.2
     dropouts = noted(ranges)
     assert (dropouts.share, dropouts.enough) == (0.0, 1)
 
 
 def drawn_with(ranges: FloatArray) -> OccupancyGrid:
     """The grid of a robot that stands at the origin, after readings (t, n_beams), m."""
-    drawer, grid = ReadingDrawer(SIX), OccupancyGrid(GridConfig())
+    drawer = ReadingDrawer(SIX)
+    grid = OccupancyGrid(GridConfig())
     for row in ranges:
         drawer.draw(grid, 0, np.zeros(3), row, ALL)
     return grid
@@ -525,7 +544,8 @@ def test_readings_that_saw_nothing_are_drawn_when_enough_of_them_follow_each_oth
 
 
 def test_a_beam_that_takes_turns_with_others_is_compared_with_its_own_readings() -> None:
-    dropouts, ranges = Dropouts(SIX), readings_of_a_wall(6000, 0.1)
+    dropouts = Dropouts(SIX)
+    ranges = readings_of_a_wall(6000, 0.1)
     for step, row in enumerate(ranges):
         fresh = np.arange(COUNT) == step % COUNT
         # What the other beams read earlier means nothing now.
@@ -536,7 +556,8 @@ def test_a_beam_that_takes_turns_with_others_is_compared_with_its_own_readings()
 def test_a_finished_map_has_no_free_ground_behind_a_wall() -> None:
     steps = 400
     ranges = readings_of_a_wall(steps, 0.1, at=0.5)[:, None]
-    measured, poses = np.ones(ranges.shape, dtype=bool), np.zeros((steps, 1, 3))
+    measured = np.ones(ranges.shape, dtype=bool)
+    poses = np.zeros((steps, 1, 3))
     grid = drawn_grid(GridConfig(), SIX, poses, ranges, measured)
     assert reach_of(grid) < 0.75
     kept = without_dropouts(SIX, ranges[:, 0], measured[:, 0])

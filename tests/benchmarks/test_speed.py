@@ -10,7 +10,9 @@ class Machine:
     """A clock that candidates move on, and that runs slower in later rounds."""
 
     def __init__(self) -> None:
-        self.now, self.slowness, self.calls = 0.0, 1.0, []
+        self.now = 0.0
+        self.slowness = 1.0
+        self.calls = []
 
     def clock(self) -> float:
         return self.now

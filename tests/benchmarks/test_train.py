@@ -21,7 +21,8 @@ def test_a_robot_drives_where_it_is_told_and_touches_nothing():
     explore = ExploreVectorEnv(batch(max_episode_steps=None))
     told, info = explore.reset(seed=3)
     assert explore.observation_space.contains(told)
-    start, heading = info["pose"].copy(), info["pose"][:, 2] + VIEW.angle(4)
+    start = info["pose"].copy()
+    heading = info["pose"][:, 2] + VIEW.angle(4)
     *_, info = explore.step(np.full(3, 4))
     for _ in range(5):
         *_, info = explore.step(np.zeros(3, dtype=int))

@@ -103,7 +103,8 @@ def own(words: list[str]) -> tuple[str, list[str]] | None:
 
 def parsed(app: typer.Typer, words: list[str]) -> None:
     """Let the command line read its options, with their types, and go no further."""
-    command, words = typer.main.get_command(app), list(words)
+    command = typer.main.get_command(app)
+    words = list(words)
     while getattr(command, "commands", None) and words and words[0] in command.commands:
         command = command.commands[words.pop(0)]
     command.make_context(words[0] if words else "command", words)
@@ -312,7 +313,8 @@ def test_a_turned_beam_is_printed_as_the_page_shows():
     (block,) = (
         block for block in blocks(ROOT / "docs" / "logs.md") if block.text.startswith("turned   ")
     )
-    beams, turns = [{"angle": math.radians(58.0)}], [{"deg": -4.2, "std_deg": 0.1}]
+    beams = [{"angle": math.radians(58.0)}]
+    turns = [{"deg": -4.2, "std_deg": 0.1}]
     summary = record_summary(
         {"record": {"beam_turns": turns}, "config": {"robot": {"beams": beams}}}
     )
@@ -332,7 +334,8 @@ def test_the_tape_of_the_page_gives_the_numbers_of_the_page(tmp_path):
     )
     calibration = calibrated(tape, read_log(log), OdometryConfig())
     assert f"calibrated  {calibration.words}" in page.read_text(encoding="utf-8")
-    turn, scale = calibration.turn_per_metre, calibration.distance_scale
+    turn = calibration.turn_per_metre
+    scale = calibration.distance_scale
     for sign, size in ((-1.0, 0.9895), (1.0, 0.9859)):
         assert scale + sign * 0.5 * 0.115 * turn == pytest.approx(size, abs=5e-4), (
             calibration.words,

@@ -44,7 +44,8 @@ def test_every_id_is_named():
 def packages_drawn() -> set[str]:
     """The folders in the tree of packages, as paths; two spaces of indentation a level."""
     (tree,) = [block.text for block in all_blocks("text") if block.text.startswith("limslam_env/")]
-    found, above = set(), []
+    found = set()
+    above = []
     for line in tree.splitlines():
         indent, name = re.match(r"( *)([\w/]+)", line).groups()
         above = [*above[: len(indent) // 2], name]
@@ -87,7 +88,8 @@ def test_every_suite_is_named():
 
 
 def test_the_release_is_the_same_everywhere():
-    version, changes = limslam_env.__version__, (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    version = limslam_env.__version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     date = re.search(rf"^## {re.escape(version)} - (\d{{4}}-\d\d-\d\d)$", changes, re.MULTILINE)
     assert date is not None, "CHANGELOG.md has no dated heading of this version"
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))

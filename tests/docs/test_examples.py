@@ -182,7 +182,8 @@ def test_nothing_was_left_to_be_filled_in():
 
 
 def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
-    page, example = ROOT / "docs" / "lab.md", ROOT / "examples" / "my_policy.py"
+    page = ROOT / "docs" / "lab.md"
+    example = ROOT / "examples" / "my_policy.py"
     if not example.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
     pytest.importorskip("moviepy")

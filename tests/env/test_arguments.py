@@ -54,9 +54,12 @@ def test_every_setting_has_its_bounds_here():
 
 @pytest.mark.parametrize("name", HIGHEST)
 def test_a_setting_out_of_bounds_is_refused_in_one_clear_line(name):
-    low, high = lowest(name), HIGHEST[name]
-    above, below = high * 1.001, low - 1e-9
-    nan, inf = math.nan, math.inf
+    low = lowest(name)
+    high = HIGHEST[name]
+    above = high * 1.001
+    below = low - 1e-9
+    nan = math.nan
+    inf = math.inf
     for value in (
         *(above, below, nan, inf, -inf),
         *(
@@ -78,7 +81,8 @@ def test_a_setting_out_of_bounds_is_refused_in_one_clear_line(name):
 
 @pytest.mark.parametrize("name", HIGHEST)
 def test_the_bounds_themselves_are_allowed(name):
-    low, high = lowest(name), HIGHEST[name]
+    low = lowest(name)
+    high = HIGHEST[name]
     for value in (low, high, (low, high), (high, high)):
         assert getattr(NoiseConfig(**{name: value}), name) == value
 
@@ -249,10 +253,12 @@ def test_every_robot_is_looked_at_here():
 
 @pytest.mark.parametrize("name", NUM_BEAMS)
 def test_a_shipped_robot_drives_and_sees(name):
-    robot, count = ROBOTS[name](), NUM_BEAMS[name]
+    robot = ROBOTS[name]()
+    count = NUM_BEAMS[name]
     env = LimSlamEnv("env1", robot=robot)
     observation, info = env.reset(seed=0)
-    start, touched = info["pose"], False
+    start = info["pose"]
+    touched = False
     assert env.observation_space["ranges"].shape == (count,)
     for step in range(650):
         assert observation["ranges"].shape == info["wall_seen"].shape == (count,)

@@ -10,7 +10,10 @@ import time
 from benchmarks.suite.jobs import Job, Outcome
 from benchmarks.suite.runner import ONE_THREAD
 
-RAISES, KILLED, EXITS, HANGS = 1, 2, 3, 1000
+RAISES = 1
+KILLED = 2
+EXITS = 3
+HANGS = 1000
 """Seeds of jobs that go wrong."""
 
 

@@ -55,7 +55,9 @@ def refused(*arguments: object, cwd: Path | None = None) -> str:
 
 
 def _called(main: Callable[[], None], arguments: tuple[object, ...], cwd: Path | None) -> Finished:
-    out, err, code = StringIO(), StringIO(), None
+    out = StringIO()
+    err = StringIO()
+    code = None
     # The handlers of signals stay those of pytest.
     with (
         patch.object(sys, "argv", ["command", *map(str, arguments)]),

@@ -93,7 +93,8 @@ def corridor_log(
     truth = truth[rows]
     generator = np.random.default_rng(seed)
     moves = se2.between(truth[:-1], truth[1:])
-    length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
+    length = np.hypot(moves[:, 0], moves[:, 1])
+    turn = np.abs(moves[:, 2])
     spread = np.column_stack(
         (0.02 * np.sqrt(length), 0.01 * np.sqrt(length), 0.02 * np.sqrt(length + turn))
     )
@@ -112,8 +113,6 @@ def corridor_log(
 
 def loop_errors(poses: FloatArray, truth: FloatArray, apart: int) -> FloatArray:
     """Errors (k,) m of the motions between events so many rows apart."""
-    wanted, found = (
-        se2.between(truth[:-apart], truth[apart:]),
-        se2.between(poses[:-apart], poses[apart:]),
-    )
+    wanted = se2.between(truth[:-apart], truth[apart:])
+    found = se2.between(poses[:-apart], poses[apart:])
     return np.asarray(np.hypot(*(found - wanted)[:, :2].T))

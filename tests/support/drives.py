@@ -36,7 +36,8 @@ def ranges_at(pose: FloatArray, walls: FloatArray, robot: RobotSpec = ROBOT) -> 
     origins = se2.transform_points(pose, robot.beam_origins)[:, None]
     headings = pose[2] + robot.beam_angles
     rays = np.column_stack((np.cos(headings), np.sin(headings)))[:, None]
-    spans, to_wall = walls[:, 2:] - walls[:, :2], walls[:, :2] - origins
+    spans = walls[:, 2:] - walls[:, :2]
+    to_wall = walls[:, :2] - origins
     with np.errstate(divide="ignore", invalid="ignore"):
         cross = rays[..., 0] * spans[:, 1] - rays[..., 1] * spans[:, 0]
         reach = (to_wall[..., 0] * spans[:, 1] - to_wall[..., 1] * spans[:, 0]) / cross
@@ -58,7 +59,9 @@ def drive(
     start.
     """
     generator = np.random.default_rng(seed)
-    pose, poses, observations = start, [], []
+    pose = start
+    poses = []
+    observations = []
     for travel in [(0.0, 0.0), *wheels]:
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(np.array(travel), robot.axle)))
         poses.append(pose)
@@ -107,7 +110,8 @@ def recorded(
     robot: RobotSpec = ROBOT,
 ) -> tuple[LineSlam, list[AssociationRecord]]:
     """The mapping half during a drive, and what became of each observed line."""
-    slam, records = LineSlam(robot, config, start), list[AssociationRecord]()
+    slam = LineSlam(robot, config, start)
+    records = list[AssociationRecord]()
     slam.on_association = records.append
     for observation in observations:
         slam.step(observation)
@@ -163,7 +167,9 @@ def laps_of_square(
     sides = round(4 * laps)
     route = [SQUARE.loop[(1 + number) % 4].tolist() for number in range(sides)]
     seen, info = env.reset(seed=seed, options={"start": start})
-    observations, poses, walls = [seen], [info["pose"]], [info["wall_seen"]]
+    observations = [seen]
+    poses = [info["pose"]]
+    walls = [info["wall_seen"]]
     while route:
         seen, _, _, _, info = env.step(np.array(_towards(poses[-1], route[0], robot)))
         observations.append(seen)

@@ -114,7 +114,8 @@ def run_sketch(
     options
         Options of the compiler.
     """
-    machine, link = headers / "machine.cpp", sketch.parents[1] / "limslam_link.c"
+    machine = headers / "machine.cpp"
+    link = sketch.parents[1] / "limslam_link.c"
     machine.write_text(MACHINE, encoding="utf-8")
     program = headers / "machine"
     folders = ["-I", headers, "-I", sketch.parents[1]]

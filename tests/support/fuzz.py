@@ -171,7 +171,9 @@ MAP = (
 
 def _room() -> np.ndarray[Any, np.dtype[np.uint8]]:
     cells = np.full((40, 50), 254, dtype=np.uint8)
-    cells[[0, -1]], cells[:, [0, -1]], cells[10:15, 20:26] = 0, 0, 0
+    cells[[0, -1]] = 0
+    cells[:, [0, -1]] = 0
+    cells[10:15, 20:26] = 0
     return cells
 
 
@@ -199,7 +201,8 @@ def _run_folder() -> dict[str, bytes]:
 
 def _shown(folder: Path) -> None:
     run = read_run(folder)
-    metrics, cost = run.result.get("metrics"), run.result.get("cost")
+    metrics = run.result.get("metrics")
+    cost = run.result.get("cost")
     if isinstance(metrics, dict) and isinstance(cost, dict):
         _ = replay_summary(metrics) if run.is_replay else run_summary(metrics, cost)
     _ = run.title, true_edges(run)
@@ -324,7 +327,8 @@ def _bags() -> list[Target]:
                         Target(f"ros1 {content}", {path.name: path.read_bytes()}, path.name, _log)
                     )
                     continue
-                storage, files = storage_of(path).name, _content(path)
+                storage = storage_of(path).name
+                files = _content(path)
                 found.append(
                     Target(f"{kind} {content}", files, storage, lambda path: _log(path.parent))
                 )
@@ -410,7 +414,8 @@ def _replace_number(content: bytes, generator: random.Random) -> bytes:
     """Replace one value of a text: a number, a quoted text or a list, as TOML, JSON, YAML and
     tables have them.
     """
-    spans, begin = [], None
+    spans = []
+    begin = None
     for place, byte in enumerate(content[:20_000]):
         is_part = chr(byte) in "0123456789.+-eE"
         if is_part and begin is None:
@@ -438,7 +443,8 @@ def examine(target: Target, folder: Path, generator: random.Random) -> str | Non
         (folder / name).write_bytes(
             mutated(content, generator) if name == target.mutated else content
         )
-    begin, found = time.process_time(), None
+    begin = time.process_time()
+    found = None
     signal.alarm(10 * LONGEST_S)
     try:
         target.read(folder / target.mutated)
@@ -503,7 +509,9 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=2500)
     parser.add_argument("--keep", type=Path, help="folder for the inputs that went wrong")
     given = parser.parse_args()
-    context, total, most = multiprocessing.get_context("spawn"), Counter[str](), 0
+    context = multiprocessing.get_context("spawn")
+    total = Counter[str]()
+    most = 0
     for begin in range(0, given.count, given.batch):
         results = context.Queue()
         arguments = (min(given.batch, given.count - begin), given.seed + begin, given.keep, results)
@@ -511,7 +519,8 @@ def main() -> None:
         child.start()
         found, used = results.get()
         child.join()
-        total, most = total + found, max(most, used)
+        total = total + found
+        most = max(most, used)
         print(  # noqa: T201
             f"{begin + arguments[0]} inputs, {sum(total.values())} problems, up to "
             f"{most / 1e6:.0f} MB",

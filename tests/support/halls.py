@@ -13,7 +13,8 @@ from limslam_agent.status.rays import Sight
 from limslam_env import RobotSpec
 from limslam_env.geometry import se2
 
-ROBOT, STD = RobotSpec(), 0.01
+ROBOT = RobotSpec()
+STD = 0.01
 SENSOR = RangeSensor(STD)
 # An L-shaped hall with a niche and a pillar: no two places look alike.
 HALL = np.array(

@@ -34,7 +34,8 @@ def unpacked(text: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
     """The arrays and the table of a text that ``limslam_agent.inspect.columns.packed`` has made."""
     content = gzip.decompress(base64.b64decode(text))
     length = int.from_bytes(content[:4], "little")
-    header, body = json.loads(content[4 : 4 + length]), content[4 + length :]
+    header = json.loads(content[4 : 4 + length])
+    body = content[4 + length :]
     arrays = {
         name: np.frombuffer(
             body[told["at"] : told["at"] + told["bytes"]], dtype=told["type"]

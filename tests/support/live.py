@@ -34,7 +34,10 @@ class Channel:
     """One direction of a connection, in the robot's time."""
 
     def __init__(self, faults, random):
-        self._faults, self._random, self._waiting, self._count = faults, random, [], 0
+        self._faults = faults
+        self._random = random
+        self._waiting = []
+        self._count = 0
 
     def push(self, line, now):
         faults = self._faults
@@ -70,7 +73,10 @@ class Wire:
     """A transport to an emulated robot. Each look for lines lets it drive for a control period."""
 
     def __init__(self, emulator, faults=None, seed=0):
-        self.emulator, self.is_cut, self.sent, self.true = emulator, False, [], []
+        self.emulator = emulator
+        self.is_cut = False
+        self.sent = []
+        self.true = []
         self.before = 0.0
         _, _, *ways = np.random.SeedSequence(seed).spawn(4)
         self._down, self._up = (

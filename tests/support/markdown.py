@@ -108,7 +108,8 @@ def commands(text: str) -> list[list[str]]:
         words = shlex.split(line, comments=True)
         while words:
             end = words.index("&&") if "&&" in words else len(words)
-            command, words = words[:end], words[end + 1 :]
+            command = words[:end]
+            words = words[end + 1 :]
             while command and re.fullmatch(r"[A-Z_]+=.*", command[0]):
                 command = command[1:]
             if command:

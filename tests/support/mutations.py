@@ -53,11 +53,10 @@ class Mutation:
     def applied(self) -> str:
         """The text of the file with the mutation."""
         lines = (ROOT / self.file).read_bytes().splitlines(keepends=True)
-        first, last = self.node.lineno - 1, self.node.end_lineno - 1
-        before, after = (
-            lines[first][: self.node.col_offset],
-            lines[last][self.node.end_col_offset :],
-        )
+        first = self.node.lineno - 1
+        last = self.node.end_lineno - 1
+        before = lines[first][: self.node.col_offset]
+        after = lines[last][self.node.end_col_offset :]
         lines[first : last + 1] = [before, f"({ast.unparse(self.changed)})".encode(), after]
         return b"".join(lines).decode()
 

@@ -65,7 +65,8 @@ def expected_rows(
     poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
 ) -> FloatArray:
     """What the kernel says of ranges from a pose each (n, 7)."""
-    found, places = np.empty((len(poses), 7)), np.arange(len(poses))
+    found = np.empty((len(poses), 7))
+    places = np.arange(len(poses))
     predict_ranges(
         np.ascontiguousarray(poses, dtype=float).ravel(),
         0,
@@ -89,7 +90,8 @@ def expected_ranges(
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
     """End points (n, 2) on the middle of the beams."""
     headings = poses[:, 2] + readings.angles
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    cos = np.cos(poses[:, 2])
+    sin = np.sin(poses[:, 2])
     x, y = readings.origins.T
     return np.column_stack(
         (
@@ -127,10 +129,12 @@ def points_of(ekf: CloneEKF, readings: Readings, theta: float = math.nan) -> Flo
 def observe(
     ekf: CloneEKF, readings: Readings, index: int, std: float, iterations: int, huber: float
 ) -> None:
-    places, variances = places_of(ekf.arrays, readings.clones), readings.variances(std)
+    places = places_of(ekf.arrays, readings.clones)
+    variances = readings.variances(std)
     clone_filter.observe(ekf.arrays, places, readings.rows, index, variances, iterations, huber)
 
 
 def compared(ekf: CloneEKF, readings: Readings, index: int, std: float) -> float:
-    places, variances = places_of(ekf.arrays, readings.clones), readings.variances(std)
+    places = places_of(ekf.arrays, readings.clones)
+    variances = readings.variances(std)
     return clone_filter.compare(ekf.arrays, places, readings.rows, index, variances)

@@ -119,7 +119,8 @@ def play(bag, pace):
         while not all(publisher.get_subscription_count() for publisher in publishers.values()):
             time.sleep(0.05)
         time.sleep(0.5)  # the subscribers find the publishers, too
-        begin, first = time.monotonic(), None
+        begin = time.monotonic()
+        first = None
         for connection, nanoseconds, raw in reader.messages(connections):
             first = nanoseconds if first is None else first
             time.sleep(max(0.0, 1e-9 * (nanoseconds - first) / pace - (time.monotonic() - begin)))

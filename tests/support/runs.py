@@ -80,7 +80,8 @@ def write_run(
     off.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    time, turns = 0.1 * np.arange(30), np.linspace(0.0, 3.0, 30)
+    time = 0.1 * np.arange(30)
+    turns = np.linspace(0.0, 3.0, 30)
     poses = np.column_stack((1.0 + np.cos(turns), 1.0 + np.sin(turns), turns + 1.5))
     for number in range(robots):
         suffix = f"_{number}" if robots > 1 else ""

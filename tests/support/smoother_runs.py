@@ -19,7 +19,9 @@ def noisy_drive(seed, noise=0.02, mismatch=0.0, robots=1, walls=WALLS, places=RO
     poses (n, t, 3).
     """
     generator = np.random.default_rng(seed)
-    wheels, ranges, poses = [], [], []
+    wheels = []
+    ranges = []
+    poses = []
     for _ in range(robots):
         observations, true = drive(
             walls, START, along(places), noise=noise, seed=int(generator.integers(1 << 30))
@@ -48,14 +50,13 @@ def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS,
 def true_labels(problem, poses, walls=WALLS):
     """The wall that each reading of a problem truly ended on."""
     flat = poses.reshape(-1, 3)
-    best, nearest = (
-        np.full((len(flat), len(ROBOT.beams)), -1),
-        np.full((len(flat), len(ROBOT.beams)), np.inf),
-    )
+    best = np.full((len(flat), len(ROBOT.beams)), -1)
+    nearest = np.full((len(flat), len(ROBOT.beams)), np.inf)
     for number, wall in enumerate(walls):
         reach = np.array([ranges_at(pose, wall[None]) for pose in flat])
         is_nearer = (reach < ROBOT.too_far) & (reach < nearest)
-        best, nearest = np.where(is_nearer, number, best), np.where(is_nearer, reach, nearest)
+        best = np.where(is_nearer, number, best)
+        nearest = np.where(is_nearer, reach, nearest)
     return best[problem.readings.places, problem.readings.beams]
 
 
@@ -68,5 +69,6 @@ def state_from_motions(problem):
     """The state without lines that follows from the reported wheel travel, and from where robots
     were carried.
     """
-    nothing, calibration = np.zeros((0, 2)), np.zeros((len(problem.starts), 5))
+    nothing = np.zeros((0, 2))
+    calibration = np.zeros((len(problem.starts), 5))
     return moved(problem, problem.motions(calibration), nothing, nothing, calibration)

@@ -7,7 +7,9 @@ of docs/live.md.
 import binascii
 import sys
 
-NEAR, NOTHING_SEEN = 350, 65535  # mm
+# mm
+NEAR = 350
+NOTHING_SEEN = 65535
 LONGEST = 1800  # telemetry lines, after which it gives up
 
 
@@ -27,10 +29,8 @@ def main() -> None:
             say("Q", 1, sent)  # greet the robot: protocol 1
         if letter != "S":
             continue
-        number, ranges = (
-            int(fields[0]),
-            [int(word) if word != "-" else NOTHING_SEEN for word in fields[6:]],
-        )
+        number = int(fields[0])
+        ranges = [int(word) if word != "-" else NOTHING_SEEN for word in fields[6:]]
         sent += 1
         if number >= LONGEST:
             return  # without a stop, X, which would say that everything is explored

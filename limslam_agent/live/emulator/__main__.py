@@ -88,7 +88,8 @@ def emulate(
 
             serve(RosRobot(body), pace, file)
             return
-        emulator, port = Emulator(body), PtyPort() if udp is None else UdpPort(host, udp)
+        emulator = Emulator(body)
+        port = PtyPort() if udp is None else UdpPort(host, udp)
         sys.stdout.write(f"{port.name}\n")
         sys.stdout.flush()
         run(emulator, port, pace, file)
@@ -129,7 +130,8 @@ class PtyPort:
         self._robot_end, self._host_end = pty.openpty()
         tty.setraw(self._host_end)  # nothing is echoed, and no byte is changed
         os.set_blocking(self._robot_end, False)
-        self.name, self._lines = os.ttyname(self._host_end), LineBuffer()
+        self.name = os.ttyname(self._host_end)
+        self._lines = LineBuffer()
 
     def receive(self, timeout: float) -> list[bytes]:
         """The lines that have arrived."""

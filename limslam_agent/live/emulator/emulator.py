@@ -42,7 +42,8 @@ class SimulatedRobot:
     begins = 0.0  # s, the time of the robot's clock at the start
 
     def __init__(self, body: Body) -> None:
-        self.robot, self._steps = body.robot, 0
+        self.robot = body.robot
+        self._steps = 0
         self._simulation = Simulation(body.world, body.robot)
         start, *_ = np.random.SeedSequence(body.seed).spawn(4)
         self.readings, truth = self._simulation.reset(start, body.noise, imu=body.imu)
@@ -81,7 +82,8 @@ class Emulator(SimulatedRobot):
         _, boot = np.random.SeedSequence(body.seed).spawn(2)
         self._travel = np.zeros(2)
         period = round(1e3 * robot.control_period)
-        number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
+        number = int(boot.generate_state(1)[0])
+        beams = len(robot.beams)
         self.firmware = Firmware(
             Hello(
                 VERSION,

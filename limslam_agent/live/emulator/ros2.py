@@ -39,7 +39,8 @@ class RosRobot(SimulatedRobot):
         super().__init__(body)
         self._watchdog = 1e-3 * body.watchdog_ms
         self._odometry = np.zeros(3)
-        self._wheels, self._obeyed = (0.0, 0.0), 0.0
+        self._wheels = (0.0, 0.0)
+        self._obeyed = 0.0
 
     def obey(self, speed: float, turn_rate: float) -> None:
         """Take speeds, m/s and rad/s."""
@@ -83,8 +84,13 @@ class Served:
     def __init__(self, robot: RosRobot, node: Any, pace: float, truth: IO[str] | None) -> None:
         from rclpy.qos import qos_profile_sensor_data
 
-        self._robot, self._node, self._pace, self._truth = robot, node, pace, truth
-        self._build, self._answers, self._answered = MessageBuilder(make), 0, -math.inf
+        self._robot = robot
+        self._node = node
+        self._pace = pace
+        self._truth = truth
+        self._build = MessageBuilder(make)
+        self._answers = 0
+        self._answered = -math.inf
         node.create_subscription(message_type("geometry_msgs/msg/Twist"), "cmd_vel", self._obey, 1)
 
         def publisher(kind: str, topic: str) -> Any:
@@ -128,10 +134,12 @@ class Served:
 
     def _obey(self, twist: Any) -> None:
         self._robot.obey(float(twist.linear.x), float(twist.angular.z))
-        self._answers, self._answered = self._answers + 1, time.monotonic()
+        self._answers = self._answers + 1
+        self._answered = time.monotonic()
 
     def _publish(self, measured: Measured) -> None:
-        build, at = self._build, measured.time
+        build = self._build
+        at = measured.time
         self._clock.publish(build.make("rosgraph_msgs/msg/Clock", clock=build.stamp(at)))
         self._odometry.publish(build.odometry(at, _FRAMES, measured.odometry, measured.speeds))
         beams = zip(self._robot.robot.beams, measured.ranges, self._sensors, strict=True)

@@ -56,17 +56,21 @@ class RosLink(Connection):
         super().__init__(clock)
         self.newest: Sample | None = None
         self.frames = ("odom", "base_link")
-        self._ports, self._robot, self._parameters = ports, robot, parameters
+        self._ports = ports
+        self._robot = robot
+        self._parameters = parameters
         self._sensors: RangeSensors | ScanSensors = (
             RangeSensors(robot, parameters.period)
             if parameters.range_topics
             else ScanSensors(robot, parameters.mount)
         )
-        self._odometer, self._headings = Odometer(robot, parameters.period), Headings()
+        self._odometer = Odometer(robot, parameters.period)
+        self._headings = Headings()
         self._row = self._stops = 0
         self._hello: Hello | None = None
         self._ready = list[Message]()
-        self._heard, self._trouble = set[int](), ""
+        self._heard = set[int]()
+        self._trouble = ""
 
     @property
     def late(self) -> int:
@@ -89,7 +93,8 @@ class RosLink(Connection):
         """Wait until sensors and odometry have shown the period. Raises a NoRobotError if that
         takes more than ``patience`` s.
         """
-        begin, found = self.clock(), list[Measurement]()
+        begin = self.clock()
+        found = list[Measurement]()
         while len(found) < _FIRST or self._sensors.robot is None:
             if self.clock() - begin > patience:
                 raise NoRobotError(f"within {patience:g} s {self._missing(found)}")
@@ -105,7 +110,8 @@ class RosLink(Connection):
 
     def receive(self, timeout: float) -> list[Message]:
         """The telemetry that is complete, and a hello where time has begun again."""
-        messages, self._ready = self._ready, []
+        messages = self._ready
+        self._ready = []
         for event in self._ports.take(0.0 if messages else timeout):
             begun = self._odometer.begun
             measurements = self._taken(event)
@@ -150,10 +156,8 @@ class RosLink(Connection):
         sample = self.newest = measurement.sample
         self._row += 1
         left, right = (round(travel / _MICROMETRE) for travel in (sample.left, sample.right))
-        stopped, heading = (
-            int(self._ports.watchdog_stops > self._stops),
-            self._headings.at(sample.time),
-        )
+        stopped = int(self._ports.watchdog_stops > self._stops)
+        heading = self._headings.at(sample.time)
         return Telemetry(
             self._row,
             round(1e3 * sample.time),

@@ -43,7 +43,8 @@ _DEPTH = 50  # number of messages that wait for a busy host
 
 _Time = Annotated[float, Bounds(0.0, 60.0)]
 
-ODOMETRY, IMU = -1, -2
+ODOMETRY = -1
+IMU = -2
 """Numbers that stand for the odometry and the Imu where others stand for the topics of the ranges.
 """
 
@@ -133,12 +134,15 @@ class RosNode:
     """
 
     def __init__(self, node: Any) -> None:
-        self._node, self.build = node, MessageBuilder(make)
+        self._node = node
+        self.build = MessageBuilder(make)
         self.parameters = Parameters.of(_given(node))
         self.orders = Orders(is_paused=not self.parameters.explore)
         self.watchdog_stops = 0
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
-        self._lock, self._decided, self._is_moving = threading.Lock(), 0.0, False
+        self._lock = threading.Lock()
+        self._decided = 0.0
+        self._is_moving = False
         self._latest: Any = None
         self._subscribe()
         stamped = self.parameters.enable_stamped_cmd_vel
@@ -177,7 +181,8 @@ class RosNode:
         if self.orders.shall_stand:
             speed = turn_rate = 0.0
         with self._lock:
-            self._decided, self._is_moving = time.monotonic(), bool(speed or turn_rate)
+            self._decided = time.monotonic()
+            self._is_moving = bool(speed or turn_rate)
             self._publish_speeds(self.build.twist(speed, 0.0, turn_rate))
 
     def hold(self) -> None:
@@ -244,7 +249,8 @@ class RosNode:
 
     def _return_home(self, message: Any) -> None:
         if message.data:
-            self.orders.go_home, self.orders.is_paused = True, False
+            self.orders.go_home = True
+            self.orders.is_paused = False
 
     def _publish_speeds(self, twist: Any) -> None:
         self._latest = twist

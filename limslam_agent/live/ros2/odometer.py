@@ -56,12 +56,15 @@ class Odometer:
     """
 
     def __init__(self, robot: RobotSpec, period: float) -> None:
-        self._robot, self._period = robot, period
+        self._robot = robot
+        self._period = period
         self.late = self.jumps = self.begun = 0
         self._forget()
 
     def _forget(self) -> None:
-        self._samples, self._waiting, self._last = list[Sample](), list[Reading](), -math.inf
+        self._samples = list[Sample]()
+        self._waiting = list[Reading]()
+        self._last = -math.inf
 
     def add_pose(self, time: float, pose: FloatArray) -> list[Measurement]:
         """Take a pose (3,), m, m, rad, at a time, s. The measurements that are complete with it."""
@@ -103,7 +106,8 @@ class Odometer:
             return None
         times = [each.time for each in samples]
         after = int(np.searchsorted(times, time))
-        begin, end = samples[max(after - 1, 0)], samples[after]
+        begin = samples[max(after - 1, 0)]
+        end = samples[after]
         share = (time - begin.time) / (end.time - begin.time) if end is not begin else 0.0
         _, _, turn = between(begin.pose, end.pose)
         towards = compose(begin.pose, np.array([0.0, 0.0, share * turn]))

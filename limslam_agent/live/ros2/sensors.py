@@ -45,7 +45,8 @@ class ScanSensors:
 
     def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
         self.robot: RobotSpec | None = None
-        self._wanted, self._mount = robot, mount
+        self._wanted = robot
+        self._mount = mount
         self._angles: FloatArray = np.zeros(0)
         self._columns: IntArray = np.zeros(0, dtype=np.int64)
 
@@ -92,8 +93,11 @@ class RangeSensors:
 
     def __init__(self, robot: RobotSpec, period: float) -> None:
         self.robot: RobotSpec | None = None
-        self._wanted, self._period, self._beams = robot, period, dict[int, SensorSpec]()
-        self._times, self._ranges = dict[int, float](), dict[int, int | None]()
+        self._wanted = robot
+        self._period = period
+        self._beams = dict[int, SensorSpec]()
+        self._times = dict[int, float]()
+        self._ranges = dict[int, int | None]()
         self._latest = dict[int, float]()
 
     def add(self, number: int, time: float, message: Any) -> list[Reading]:
@@ -126,7 +130,8 @@ class RangeSensors:
         """The readings that were collected, which begin anew."""
         ranges = tuple(self._ranges.get(number) for number in range(len(self._wanted.beams)))
         reading = Reading(float(np.median([*self._times.values()])), ranges)
-        self._times, self._ranges = {}, {}
+        self._times = {}
+        self._ranges = {}
         return [reading]
 
 

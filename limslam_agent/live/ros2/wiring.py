@@ -31,8 +31,10 @@ class Outputs:
     """Publishes pose, transform, map, walls and status of a session, and passes orders on to it."""
 
     def __init__(self, node: RosNode, link: RosLink) -> None:
-        self._node, self._link = node, link
-        self._next_map, self._told = 0.0, ("", "")
+        self._node = node
+        self._link = link
+        self._next_map = 0.0
+        self._told = ("", "")
         self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
         self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
         self._map = node.publisher("nav_msgs/msg/OccupancyGrid", "map", depth=1, is_kept=True)
@@ -61,9 +63,12 @@ class Outputs:
             session.asked_to_end = STOPPED
 
     def _publish_pose(self, session: Session) -> None:
-        sample, mapper, names = self._link.newest, session.agent.mapper, self._node.parameters
+        sample = self._link.newest
+        mapper = session.agent.mapper
+        names = self._node.parameters
         assert sample is not None  # noqa: S101 (a session has decided)
-        build, pose = self._node.build, mapper.poses[0]
+        build = self._node.build
+        pose = mapper.poses[0]
         self._pose(build.uncertain_pose(sample.time, names.map_frame, pose, mapper.covariances[0]))
         shift = map_to_odom(pose, sample.pose)
         frame = names.odom_frame or self._link.frames[0]
@@ -76,14 +81,18 @@ class Outputs:
             self._tf(build.make("tf2_msgs/msg/TFMessage", transforms=[transform]))
 
     def _publish_map(self, session: Session) -> None:
-        sample, frame, build = self._link.newest, self._node.parameters.map_frame, self._node.build
+        sample = self._link.newest
+        frame = self._node.parameters.map_frame
+        build = self._node.build
         assert sample is not None  # noqa: S101 (a session has decided)
         self._map(build.grid(sample.time, frame, session.agent.mapper.grid))
         self._walls(build.walls(sample.time, frame, session.agent.slam.segments))
         self._status(self._diagnosis(session, sample.time))
 
     def _diagnosis(self, session: Session, at: float) -> Any:
-        make, agent, figures = self._node.build.make, session.agent, session.figures
+        make = self._node.build.make
+        agent = session.agent
+        figures = session.figures
         told = {
             "state": state_of(session),
             "walls": len(agent.slam.segments),

@@ -71,7 +71,8 @@ def read_readings(run: FinishedRun) -> Readings | None:
     try:
         arrays = load_arrays(path, _READINGS)
         robot = RobotSpec.from_json(str(arrays["robot"]))
-        count, robots = len(run.time), len(run.estimated)
+        count = len(run.time)
+        robots = len(run.estimated)
         ranges = arrays["ranges"].astype(np.float32).reshape(count, robots, len(robot.beams))
         wheels = arrays["wheels"].reshape(count, robots, 2)
         yaw = arrays["yaw"].reshape(count, robots) if "yaw" in arrays else None

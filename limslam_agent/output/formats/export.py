@@ -30,7 +30,8 @@ def write_csv(folder: Path, exported: ExportedRun) -> list[Path]:
     Several robots have a table each. ``limslam replay log.csv --robot ...`` reads the table of
     readings.
     """
-    run, robots = exported.run, len(exported.run.estimated)
+    run = exported.run
+    robots = len(exported.run.estimated)
     written = [folder / "walls.csv"]
     _write(written[0], ["x1", "y1", "x2", "y2"], run.segments)
     for number in range(robots):
@@ -45,7 +46,8 @@ def write_csv(folder: Path, exported: ExportedRun) -> list[Path]:
 
 def _poses(exported: ExportedRun, number: int) -> tuple[list[str], FloatArray]:
     run = exported.run
-    names, columns = ["t"], [run.time[:, None]]
+    names = ["t"]
+    columns = [run.time[:, None]]
     for kind, poses in exported.paths().items():
         names += [f"{kind}_{part}" for part in ("x", "y", "theta")]
         columns.append(poses[number])

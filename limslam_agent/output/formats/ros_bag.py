@@ -72,8 +72,10 @@ class _Messages:
             yield from self._of_robot(number, f"robot_{number}/" if len(run.estimated) > 1 else "")
 
     def _of_robot(self, number: int, prefix: str) -> Iterator[_Told]:
-        run, readings = self._exported.run, self._exported.readings
-        base, odom = f"{prefix}base_link", f"{prefix}odom"
+        run = self._exported.run
+        readings = self._exported.readings
+        base = f"{prefix}base_link"
+        odom = f"{prefix}odom"
         estimated = run.estimated[number]
         covariances = (
             run.covariances[number] if run.covariances else np.zeros((len(run.time), 3, 3))
@@ -101,7 +103,8 @@ class _Messages:
     def _odometry(
         self, poses: FloatArray, estimated: FloatArray, prefix: str, odom: str, base: str
     ) -> Iterator[_Told]:
-        time, build = self._exported.run.time, self._build
+        time = self._exported.run.time
+        build = self._build
         moves = between(poses[:-1], poses[1:]) / np.maximum(np.diff(time), 1e-6)[:, None]
         speeds = np.vstack((np.zeros((1, 3)), moves))
         corrections = compose(estimated, inverse(poses))
@@ -119,7 +122,8 @@ class _Messages:
 
     def _ranges(self, time: float, ranges: Any, robot: RobotSpec, prefix: str) -> Iterator[_Told]:
         for number, (beam, reading) in enumerate(zip(robot.beams, ranges.tolist(), strict=True)):
-            name, limits = f"{prefix}beam_{number}", (beam.min_range, beam.max_range)
+            name = f"{prefix}beam_{number}"
+            limits = (beam.min_range, beam.max_range)
             yield _Told(time, f"/{name}", self._build.range(time, name, limits, reading))
 
     def _path(self, poses: FloatArray) -> Any:

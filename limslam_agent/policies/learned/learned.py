@@ -46,10 +46,12 @@ HOLD = 5
 """Number of steps between two decisions."""
 
 # Rate of turn per heading error, 1/s, and largest rate of turn, rad/s.
-_GAIN, _TURN_RATE = 5.0, 2.5
+_GAIN = 5.0
+_TURN_RATE = 2.5
 # The network drives while the map has grown by so many m^2 for each robot within the last so many
 # seconds, and so not in the first ones.
-_GROWTH, _WINDOW = 0.6, 8.0
+_GROWTH = 0.6
+_WINDOW = 8.0
 # Distance to the nearest frontier, m, up to which the network drives. It is the distance of the
 # network's input, in which small remnants count as farther away.
 _FARTHEST = 2.0
@@ -85,7 +87,8 @@ class LearnedPolicy(FrontierPolicy):
         network: DirectionNetwork | None = None,
         seed: int | np.random.Generator = 0,
     ) -> None:
-        robot, config = robot or RobotSpec(), config or PolicyConfig()
+        robot = robot or RobotSpec()
+        config = config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
         self._generator = np.random.default_rng(seed)
         large = max(config.min_frontier, _LARGE_FRONTIER)
@@ -147,7 +150,8 @@ def own_part(belief: Belief, robot: RobotSpec) -> GridView:
     """The grid of one robot of a team: other robots are obstacles, and unknown cells that are
     nearer to another robot count as free.
     """
-    grid, others = belief.grid, belief.other_poses
+    grid = belief.grid
+    others = belief.other_poses
     theirs = grid.unknown & nearer_to_others(grid, belief.pose, others)
     values = np.where(theirs, 1, grid.values)
     values[cells_near_robots(grid, others, 2.0 * robot.radius)] = -1

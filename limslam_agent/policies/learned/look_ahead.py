@@ -75,15 +75,19 @@ def count_on_beam(
     ``counted`` lie at ``counted_corner``. Its cells are set to ``stamp``.
     """
     rows, columns = values.shape
-    total, weight = 0.0, 1.0
+    total = 0.0
+    weight = 1.0
     for i in range(steps):
-        row, column = math.floor((y + i * to_y) / cell), math.floor((x + i * to_x) / cell)
-        r, c = row - corner[1], column - corner[0]
+        row = math.floor((y + i * to_y) / cell)
+        column = math.floor((x + i * to_x) / cell)
+        r = row - corner[1]
+        c = column - corner[0]
         value = values[r, c] if 0 <= r < rows and 0 <= c < columns else 0
         if value < 0:
             break
         if value == 0:
-            r, c = row - counted_corner[0], column - counted_corner[1]
+            r = row - counted_corner[0]
+            c = column - counted_corner[1]
             if counted[r, c] != stamp:
                 counted[r, c] = stamp
                 total += weight
@@ -120,9 +124,14 @@ def look_ahead(
     counted_corner = math.floor(pose[1] / cell) - reach, math.floor(pose[0] / cell) - reach
     for direction in range(directions):
         heading = pose[2] + 2.0 * math.pi * direction / directions
-        cos, sin, total, is_open, mark = math.cos(heading), math.sin(heading), 0.0, True, 0
+        cos = math.cos(heading)
+        sin = math.sin(heading)
+        total = 0.0
+        is_open = True
+        mark = 0
         for place in range(1, PLACES[-1] + 1):
-            x, y = pose[0] + place * SPACING * cos, pose[1] + place * SPACING * sin
+            x = pose[0] + place * SPACING * cos
+            y = pose[1] + place * SPACING * sin
             is_open = is_open and has_room(values, corner, x, y, cos, sin, radius, cell)
             for beam in range(len(beams) if is_open else 0):
                 from_x = x + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]

@@ -46,7 +46,8 @@ class DirectionNetwork:
 
     def scores(self, observation: NDArray[np.float32]) -> Weights:
         """Logits (directions,) of an observation (size,) that ``polar_view.observe`` has made."""
-        directions, size = self.view.directions, self.view.rows * self.view.directions
+        directions = self.view.directions
+        size = self.view.rows * self.view.directions
         angles = 2.0 * np.pi * np.arange(directions) / directions
         # The heading relative to the robot. Without it the scores would not change when the robot
         # turns.
@@ -61,8 +62,10 @@ class DirectionNetwork:
         return np.asarray(self._around("score", np.concatenate((values, told)))[0])
 
     def _around(self, layer: str, values: Weights) -> Weights:
-        weight, bias = self.weights[f"{layer}.weight"], self.weights[f"{layer}.bias"]
-        half, spread = weight.shape[2] // 2, SPREAD.get(layer, 1)
+        weight = self.weights[f"{layer}.weight"]
+        bias = self.weights[f"{layer}.bias"]
+        half = weight.shape[2] // 2
+        spread = SPREAD.get(layer, 1)
         shifts = [spread * (half - tap) for tap in range(weight.shape[2])]
         total = sum(
             weight[:, :, tap] @ np.roll(values, shift, axis=1) for tap, shift in enumerate(shifts)

@@ -31,7 +31,8 @@ AHEAD = 3
 """
 
 # A step between two cells costs the sum of their two costs. The cost is higher beside a wall.
-FREE_COST, TIGHT_COST = 1, 3
+FREE_COST = 1
+TIGHT_COST = 3
 
 # Least number of unknown cells in the 5 x 5 cells around a frontier cell. Fewer are a gap between
 # beams.
@@ -39,7 +40,8 @@ LEAST_UNKNOWN = 6
 
 # A frontier cell with fewer unknown cells in the 9 x 9 cells around it belongs to a small remnant.
 # Such a remnant counts as farther away: for each missing cell, by so many halves of a cell.
-LARGE_UNKNOWN, SMALL_COST = 34, 4
+LARGE_UNKNOWN = 34
+SMALL_COST = 4
 
 FAR = 10.0
 
@@ -123,7 +125,8 @@ def observe(
     away = frontier_distance(grid)
     row, column = grid.cells(transform_points(pose, config.samples)).T
     is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    values, nearness = np.zeros(len(row), dtype=np.int64), np.full(len(row), -np.inf)
+    values = np.zeros(len(row), dtype=np.int64)
+    nearness = np.full(len(row), -np.inf)
     values[is_inside] = np.sign(grid.values[row[is_inside], column[is_inside]])
     nearness[is_inside] = -away[row[is_inside], column[is_inside]]
     shape = (config.rings, config.directions, 6)
@@ -165,10 +168,8 @@ def frontier_distance(grid: GridView) -> FloatArray:
     as up to 5.6 m farther away than it is.
     """
     rows, columns = grid.values.shape
-    free, beside_wall = (
-        grid.free,
-        ndimage.binary_dilation(grid.occupied, np.ones((3, 3), dtype=int)),
-    )
+    free = grid.free
+    beside_wall = ndimage.binary_dilation(grid.occupied, np.ones((3, 3), dtype=int))
     is_source = (
         frontier_cells(grid, min_size=1)
         & ~beside_wall
@@ -179,7 +180,9 @@ def frontier_distance(grid: GridView) -> FloatArray:
         return np.full((rows, columns), np.inf)
     cost = np.where(beside_wall, TIGHT_COST, FREE_COST)
     index = np.arange(rows * columns).reshape(rows, columns)
-    starts, ends, prices = [], [], []
+    starts = []
+    ends = []
+    prices = []
     for here, there in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         is_open = free[here] & free[there]
         starts.append(index[here][is_open])

@@ -105,7 +105,8 @@ class BatchSlam:
         num_threads: int | None = None,
         size: int = 40,
     ) -> None:
-        config, threads = config or preset("consistent"), num_threads
+        config = config or preset("consistent")
+        threads = num_threads
         if threads is None:
             threads = os.cpu_count() or 1
         if not isinstance(config.estimator, ConsistentConfig):
@@ -119,7 +120,10 @@ class BatchSlam:
         ):
             if value < least:
                 raise ValueError(f"{name} must be {least} or more, not {value}")
-        self.robot, self.config, self.num_envs, self.size = robot, config, num_envs, size
+        self.robot = robot
+        self.config = config
+        self.num_envs = num_envs
+        self.size = size
         self.capacity = capacity or Capacity()
         self._extents = config.estimator.extents
         self._spec = spec_of(robot, config, config.estimator)
@@ -165,11 +169,9 @@ class BatchSlam:
             If an argument has the wrong shape, or wheel travel is not finite. Then no state has
             changed.
         """
-        seen, travel, chosen = (
-            np.asarray(ranges, dtype=float),
-            np.asarray(wheels, dtype=float),
-            self._chosen(mask),
-        )
+        seen = np.asarray(ranges, dtype=float)
+        travel = np.asarray(wheels, dtype=float)
+        chosen = self._chosen(mask)
         beams = len(self.robot.beams)
         if seen.shape != (self.num_envs, beams) or travel.shape != (self.num_envs, 2):
             raise ValueError(
@@ -179,10 +181,8 @@ class BatchSlam:
         _refuse_if_not_finite(travel, chosen, "wheel travel")
         seen = np.ascontiguousarray(as_readings(seen, self.robot.min_ranges, self.robot.max_ranges))
         travel = np.ascontiguousarray(travel)
-        poses, covariances = (
-            np.zeros((self.num_envs, tables.POSE)),
-            np.zeros((self.num_envs, tables.POSE, tables.POSE)),
-        )
+        poses = np.zeros((self.num_envs, tables.POSE))
+        covariances = np.zeros((self.num_envs, tables.POSE, tables.POSE))
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         begun = np.zeros(1, dtype=np.int64)
         self._share(
@@ -283,7 +283,8 @@ def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> No
 @compiled
 def state_of(states: States, number: int) -> States:
     """The state of one robot, as views of the arrays."""
-    ekf, walls = states.filter, states.walls
+    ekf = states.filter
+    walls = states.walls
     return States(
         tables.Filter(
             ekf.x[number],
@@ -322,8 +323,12 @@ def accept(
 
     The encoders' jitter (3, 3) is returned: see ``encoder_ticks.jitter_of``.
     """
-    settings, beams, travel = spec.settings[0], spec.beams, state.travel
-    ekf, walls, hits = state.filter, state.walls, np.zeros(len(ranges), dtype=np.bool_)
+    settings = spec.settings[0]
+    beams = spec.beams
+    travel = state.travel
+    ekf = state.filter
+    walls = state.walls
+    hits = np.zeros(len(ranges), dtype=np.bool_)
     ekf.counts[STEP] += 1
     increment, covariance = steps.wheel_motion(
         wheels, settings.axle, settings.wheel_variance, (0.0, 0.0)
@@ -332,7 +337,8 @@ def accept(
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
-        step, period = ekf.counts[STEP], spec.schedule[0, beam]
+        step = ekf.counts[STEP]
+        period = spec.schedule[0, beam]
         is_due = step == 0 or step % period == spec.schedule[1, beam]
         is_wall = beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
         is_fresh = is_new(state.repeats, beam, ranges[beam], is_wall, moved, is_due)
@@ -343,16 +349,16 @@ def accept(
         state.ticks[wheel] = steps.tick_by(before[wheel], wheels[wheel])
     covariance += steps.first_jitter(before, state.ticks, settings.axle)
     jitter = steps.jitter_of(state.ticks, settings.axle)
-    angles, too_near, radius = beams[:, tables.ANGLE], beams[:, tables.TOO_NEAR], settings.radius
+    angles = beams[:, tables.ANGLE]
+    too_near = beams[:, tables.TOO_NEAR]
+    radius = settings.radius
     variance, angle = steps.slip(
         state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std
     )
     if variance:
         covariance = covariance + steps.slip_covariance(variance, angle)
-    by_pose, by_increment = (
-        np.zeros((tables.POSE, tables.POSE)),
-        np.zeros((tables.POSE, tables.POSE)),
-    )
+    by_pose = np.zeros((tables.POSE, tables.POSE))
+    by_increment = np.zeros((tables.POSE, tables.POSE))
     steps.move(
         ekf.x,
         ekf.P,
@@ -367,7 +373,8 @@ def accept(
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
     if steps.is_due(travel, hits, spec.sides, settings):
-        noise, rays = (settings.std, settings.growth), np.empty((len(ranges), 6))
+        noise = (settings.std, settings.growth)
+        rays = np.empty((len(ranges), 6))
         steps.clear(
             walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays
         )
@@ -400,16 +407,15 @@ def step_some(
     """
     # The compiler processes a function and all below it again for each function above it, so there
     # are few levels.
-    stamps, settings = (
-        np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32),
-        spec.settings[0],
-    )
+    stamps = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32)
+    settings = spec.settings[0]
     measured = np.zeros(ranges.shape[1], dtype=np.bool_)
     place = next_of(begun)
     while place < len(chosen):
         number = chosen[place]
         state = state_of(states, number)
-        ekf, travel = state.filter, state.travel
+        ekf = state.filter
+        travel = state.travel
         jitter = accept(state, ranges[number], wheels[number], spec, measured)
         for side in range(_NUM_SIDES):
             is_over = steps.has_ended(travel, state.fill, side)
@@ -449,20 +455,20 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
     ekf = state.filter
     ekf.counts[:] = 0
-    ekf.counts[tables.POSES_END], ekf.counts[tables.LINES_FROM], ekf.counts[STEP] = (
-        tables.POSE,
-        tables.POSE,
-        -1,
-    )
+    ekf.counts[tables.POSES_END] = tables.POSE
+    ekf.counts[tables.LINES_FROM] = tables.POSE
+    ekf.counts[STEP] = -1
     ekf.x[: tables.POSE] = start
     ekf.P[: tables.POSE, : tables.POSE] = 0.0
     state.travel[:] = 0.0
     state.fill[:] = 0
     state.walls.tally[:] = 0
-    state.contact[:], state.ticks[:] = -1.0, 0.0
+    state.contact[:] = -1.0
+    state.ticks[:] = 0.0
     state.repeats[:] = 0.0
     state.repeats[:, tables.PREVIOUS] = math.nan
-    state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
+    state.travel[DRIVEN_AT] = -np.inf
+    state.travel[TURNED_AT] = -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2
     state.window[0] = math.floor(start[1] / cell) - half

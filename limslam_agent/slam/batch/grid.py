@@ -17,7 +17,8 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 CropArray: TypeAlias = NDArray[np.uint8]
 
-FREE, OCCUPIED = 127, 255
+FREE = 127
+OCCUPIED = 255
 
 
 @compiled
@@ -27,7 +28,8 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 
     If not all of them fit, the lower ones do.
     """
-    side, first = grid.shape[0], window[axis]
+    side = grid.shape[0]
+    first = window[axis]
     new = low if low < first else high - side + 1
     for entering in (
         range(max(new, first + side), new + side)
@@ -57,25 +59,27 @@ def update(
 
     ``stamps`` (cells, cells) is scratch, and ``stamp`` a number that it does not contain yet.
     """
-    cells, side = (
-        touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell),
-        grid.shape[0],
-    )
+    cells = touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell)
+    side = grid.shape[0]
     for axis in range(2):
-        low, high = cells[:, axis].min(), cells[:, axis].max()
+        low = cells[:, axis].min()
+        high = cells[:, axis].max()
         if low < window[axis] or high >= window[axis] + side:
             shift(grid, window, axis, low, high)
-    low, left_most, low_at, left_at = window[0], window[1], window[0] % side, window[1] % side
+    low = window[0]
+    left_most = window[1]
+    low_at = window[0] % side
+    left_at = window[1] % side
     for i in range(len(cells)):
-        row, column = cells[i, 0] - low, cells[i, 1] - left_most
+        row = cells[i, 0] - low
+        column = cells[i, 1] - left_most
         # A cell that does not fit into the window, even after it has been moved, is skipped.
         if not (0 <= row < side and 0 <= column < side):
             cells[i, 2] = SKIPPED
-        row, column = row + low_at, column + left_at
-        cells[i, 0], cells[i, 1] = (
-            row - side if row >= side else row,
-            column - side if column >= side else column,
-        )
+        row = row + low_at
+        column = column + left_at
+        cells[i, 0] = row - side if row >= side else row
+        cells[i, 1] = column - side if column >= side else column
     change_cells(grid, cells, stamps, stamp, settings.seen_through, settings.hit, settings.limit)
 
 
@@ -86,16 +90,20 @@ def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: 
 
     Cells are 0 where unknown, ``FREE``, or ``OCCUPIED``.
     """
-    size, side = out.shape[0], grid.shape[0]
-    x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
-    low, left_most = float(window[0]), float(window[1])
+    size = out.shape[0]
+    side = grid.shape[0]
+    x = pose[0]
+    y = pose[1]
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    low = float(window[0])
+    left_most = float(window[1])
     # Where the window's first row and column are stored.
-    low_at, left_at = float(window[0] % side), float(window[1] % side)
-    places, values, cells = (
-        np.empty(size, dtype=np.int32),
-        np.empty(size, dtype=grid.dtype),
-        grid.reshape(-1),
-    )
+    low_at = float(window[0] % side)
+    left_at = float(window[1] % side)
+    places = np.empty(size, dtype=np.int32)
+    values = np.empty(size, dtype=grid.dtype)
+    cells = grid.reshape(-1)
     # Three loops without branches, so that the compiler takes several cells at once.
     for i in range(size):
         ahead = (0.5 * (size - 1) - i) * cell
@@ -104,11 +112,10 @@ def crop(pose: FloatArray, grid: GridArray, window: IntArray, cell: float, out: 
             row = np.floor((ahead * sin + left * cos + y) / cell) - low
             column = np.floor((ahead * cos - left * sin + x) / cell) - left_most
             is_inside = (row >= 0.0) & (row < side) & (column >= 0.0) & (column < side)
-            row, column = row + low_at, column + left_at
-            row, column = (
-                row - side if row >= side else row,
-                column - side if column >= side else column,
-            )
+            row = row + low_at
+            column = column + left_at
+            row = row - side if row >= side else row
+            column = column - side if column >= side else column
             places[j] = np.int32(row * side + column) if is_inside else -1
         for j in range(size):
             values[j] = cells[places[j]] if places[j] >= 0 else 0

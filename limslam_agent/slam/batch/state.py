@@ -114,7 +114,8 @@ class Spec(NamedTuple):
 
 def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
     """The part of a robot and of its settings that compiled functions need."""
-    std, grid = config.range_std, config.grid
+    std = config.range_std
+    grid = config.grid
     given: dict[str, Any] = step_settings(
         estimator, RangeSensor(std, cone=robot.cone), std
     )._asdict()

@@ -14,12 +14,15 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
-LEAST_BIAS, LEAST_ANGLE, LEAST_DELAY = 2e-3, math.radians(0.25), 0.1
+LEAST_BIAS = 2e-3
+LEAST_ANGLE = math.radians(0.25)
+LEAST_DELAY = 0.1
 """A bias, m, an opening angle or the directions of all beams, rad, and a delay, in steps, that
 differ by less are as assumed.
 """
 
-LEAST_SCALE, _SURE = 5e-3, 3.5
+LEAST_SCALE = 5e-3
+_SURE = 3.5
 """The same for a scale, a share; and the standard deviations by which the size of the wheels must
 differ.
 """
@@ -38,7 +41,9 @@ class AssumedSensor:
     """
 
     def __init__(self, specified: RangeSensor, reach: float, config: RangeErrorConfig) -> None:
-        self.specified, self._reach, self._config = specified, reach, config
+        self.specified = specified
+        self._reach = reach
+        self._config = config
         self.assume(specified)
 
     def assume(self, sensor: RangeSensor) -> None:
@@ -74,11 +79,15 @@ class AssumedSensor:
         if not self._is_counted or errors is None:
             return None
         self._is_counted = False
-        config, sensor, noise = self._config, self.sensor, self._noise.estimate
-        change, evidence = errors.estimate_of(LENGTHS)[0], errors.length_evidence
+        config = self._config
+        sensor = self.sensor
+        noise = self._noise.estimate
+        change = errors.estimate_of(LENGTHS)[0]
+        evidence = errors.length_evidence
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
         evidence = np.where(np.abs(change) > (LEAST_BIAS, LEAST_ANGLE), evidence, 0.0)
-        gate, noise_gate = config.gate, config.noise_gate
+        gate = config.gate
+        noise_gate = config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
         bend, of_bend = errors.bend
@@ -101,17 +110,16 @@ class AssumedSensor:
         std, growth = (
             (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
         )
-        cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
+        cone = sensor.cone + float(change[1])
+        bias = sensor.bias + float(change[0])
         return sensor._replace(std=std, growth=growth, cone=cone, bias=bias)
 
     def delayed(self, errors: RangeErrors | None) -> RangeSensor | None:
         """The sensor with another delay of its ranges, if the readings so far require that."""
         if errors is None:
             return None
-        delay, gate = (
-            self.sensor.delay,
-            self._config.further_gate if self.sensor.delay else self._config.gate,
-        )
+        delay = self.sensor.delay
+        gate = self._config.further_gate if self.sensor.delay else self._config.gate
         further = float(errors.estimate_of(COMMON)[0][DELAY])
         if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.delay_evidence < gate:
             return None
@@ -128,7 +136,8 @@ class AssumedSensor:
         size. What each of them may have more, and the other one less, remains unknown. A bias has
         to be found before, since it makes the wheels seem larger, too.
         """
-        sensor, own = self.sensor, self._config.scale_std
+        sensor = self.sensor
+        own = self._config.scale_std
         both = math.hypot(own, prior)
         if errors is None or not own or abs(size) < _SURE * std:
             return None
@@ -145,7 +154,8 @@ class AssumedSensor:
         better than chance would: the first estimate, from few metres, is some tenths of a degree
         off.
         """
-        sensor, count = self.sensor, len(errors.stds[TURNS])
+        sensor = self.sensor
+        count = len(errors.stds[TURNS])
         if not count:
             return None
         turns = errors.estimate_of(TURNS)[0]
@@ -154,10 +164,12 @@ class AssumedSensor:
         if sensor.turns:
             # The gain is that beside a prior about the assumed directions. The prior of all turns
             # is about zero.
-            gain, gate = errors.turn_gain, self._config.further_gate + count
+            gain = errors.turn_gain
+            gate = self._config.further_gate + count
             evidence = gain - 2.0 * float(turns @ np.array(sensor.turns)) / self._config.turn_std**2
         else:
-            evidence, gate = errors.turn_evidence, self._config.gate
+            evidence = errors.turn_evidence
+            gate = self._config.gate
         if evidence < gate:
             return None
         turns = turns + (sensor.turns or np.zeros(count))

@@ -42,7 +42,9 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import turned, wrap_angle
 
-_LINES, _CLONES = 24, 12  # room that is made at once, besides an eighth of the state
+# room that is made at once, besides an eighth of the state
+_LINES = 24
+_CLONES = 12
 
 
 class CloneEKF:
@@ -76,7 +78,8 @@ class CloneEKF:
         calibration: FloatArray | None = None,
         range_errors: tuple[float, ...] | None = None,
     ) -> None:
-        start, self.has_turned_beams = np.array(pose, dtype=float).ravel(), False
+        start = np.array(pose, dtype=float).ravel()
+        self.has_turned_beams = False
         self._errors = ConstantErrors(
             None if calibration is None else OdometryErrors(len(start) // POSE, calibration),
             None if range_errors is None else RangeErrors(range_errors),
@@ -84,7 +87,8 @@ class CloneEKF:
         robots = len(start) // POSE
         # Of the poses in the latest step: the change in the world, the jitter in the robot's frame,
         # and, since each step asks for it several times, the jitter in the world at a heading.
-        self._motions, self._jitters = np.zeros((robots, POSE)), [np.zeros((POSE, POSE))] * robots
+        self._motions = np.zeros((robots, POSE))
+        self._jitters = [np.zeros((POSE, POSE))] * robots
         self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
@@ -142,10 +146,8 @@ class CloneEKF:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
         for robot, jitter in enumerate(self._jitters):
-            own, heading = (
-                slice(POSE * robot, POSE * robot + POSE),
-                self.arrays.x.item(POSE * robot + 2),
-            )
+            own = slice(POSE * robot, POSE * robot + POSE)
+            heading = self.arrays.x.item(POSE * robot + 2)
             if self._in_world[robot][0] != heading or self._in_world[robot][1] is not jitter:
                 self._in_world[robot] = heading, jitter, turned(jitter, heading)
             joint[own, own] += self._in_world[robot][2]
@@ -172,7 +174,8 @@ class CloneEKF:
 
     def line_covariance(self, index: int) -> FloatArray:
         """Covariance (2, 2) of one line as (r, theta) in the world."""
-        theta, anchor = self.line(index).item(1), self.anchors[index]
+        theta = self.line(index).item(1)
+        anchor = self.anchors[index]
         lever = anchor[1] * np.cos(theta) - anchor[0] * np.sin(theta)
         sign = 1.0 if self._about_origin()[index, 0] >= 0.0 else -1.0
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
@@ -209,19 +212,27 @@ class CloneEKF:
         if odometry is None:
             return
         (errors, covariance), x, P = odometry.estimate_of(slice(None)), self.x, self.P
-        count, size, first = len(errors), len(x) + len(errors), self._lines_from
-        by_errors, of_ranges = self.by_errors[:, :count], self.by_errors[:, count:]
-        added, old = np.arange(first, first + count), np.r_[:first, first + count : size]
+        count = len(errors)
+        size = len(x) + len(errors)
+        first = self._lines_from
+        by_errors = self.by_errors[:, :count]
+        of_ranges = self.by_errors[:, count:]
+        added = np.arange(first, first + count)
+        old = np.r_[:first, first + count : size]
         joint = by_errors @ covariance
         arrays = self._room_for(size, self.num_lines, len(self.arrays.clones), of_ranges.shape[1])
         arrays.P[np.ix_(old, old)] = P + joint @ by_errors.T
-        arrays.P[np.ix_(old, added)], arrays.P[np.ix_(added, old)] = joint, joint.T
+        arrays.P[np.ix_(old, added)] = joint
+        arrays.P[np.ix_(added, old)] = joint.T
         arrays.P[np.ix_(added, added)] = covariance
-        arrays.x[old], arrays.by_errors[old] = x, of_ranges
+        arrays.x[old] = x
+        arrays.by_errors[old] = of_ranges
         change = np.zeros(size)
-        change[old], change[added] = by_errors @ errors, errors
+        change[old] = by_errors @ errors
+        change[added] = errors
         arrays.counts[LINES_FROM] += count
-        self.arrays, self._errors.odometry = arrays, None
+        self.arrays = arrays
+        self._errors.odometry = None
         self._correct(change)
 
     def know_calibration(
@@ -233,8 +244,11 @@ class CloneEKF:
         """
         if self.calibration() is not None:
             part = self._calibration_part(robot)
-            self.x[part], self.P[part], self.P[:, part] = calibration, 0.0, 0.0
-            self.P[part, part], self.by_errors[part] = covariance, 0.0
+            self.x[part] = calibration
+            self.P[part] = 0.0
+            self.P[:, part] = 0.0
+            self.P[part, part] = covariance
+            self.by_errors[part] = 0.0
 
     def observe_drift(self, drift: float, variance: float, robot: int = 0) -> None:
         """Update by the drift, rad/s, that the heading of a standing robot shows, and its variance.
@@ -243,12 +257,15 @@ class CloneEKF:
         """
         if self.calibration() is None:
             return
-        arrays, size = self.arrays, size_of(self.arrays.counts)
+        arrays = self.arrays
+        size = size_of(self.arrays.counts)
         column = np.array([self._calibration_part(robot).stop - 1])
         row = dense_rows(arrays.P, size, self._poses_end, column)
         factor = np.sqrt(row[:, column] + variance)
-        innovation, whitened = drift - arrays.x[column], row / factor
-        change, nothing = whitened.T @ (innovation / factor[0]), np.zeros((size, POSE))
+        innovation = drift - arrays.x[column]
+        whitened = row / factor
+        change = whitened.T @ (innovation / factor[0])
+        nothing = np.zeros((size, POSE))
         moved = correct_state(
             arrays.x,
             arrays.P,
@@ -276,13 +293,14 @@ class CloneEKF:
 
     def predict(self, motion: Motion, robot: int = 0) -> None:
         """Move a robot."""
-        arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
-        by_pose, by_increment, moved = (
-            np.zeros((POSE, POSE)),
-            np.zeros((POSE, POSE)),
-            slice(at, at + POSE),
-        )
-        increment, covariance = motion.increment, motion.covariance
+        arrays = self.arrays
+        at = POSE * robot
+        size = size_of(self.arrays.counts)
+        by_pose = np.zeros((POSE, POSE))
+        by_increment = np.zeros((POSE, POSE))
+        moved = slice(at, at + POSE)
+        increment = motion.increment
+        covariance = motion.covariance
         move_pose(
             arrays.x,
             arrays.P,
@@ -294,7 +312,8 @@ class CloneEKF:
             by_increment,
             self._poses_end,
         )
-        self._motions[robot], self._jitters[robot] = by_increment @ increment, motion.jitter
+        self._motions[robot] = by_increment @ increment
+        self._jitters[robot] = motion.jitter
         if not motion.has_turned:
             self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
@@ -305,7 +324,8 @@ class CloneEKF:
         if self._errors.odometry is not None:
             arrays.by_errors[moved, moved] += drift
         else:
-            part, P = self._calibration_part(robot), self.P
+            part = self._calibration_part(robot)
+            P = self.P
             P[moved] += drift @ P[part]
             P[:, moved] += P[:, part] @ drift.T
 
@@ -322,33 +342,34 @@ class CloneEKF:
         ``by_lines`` (3, 2 N) of the pose by the lines among which it was found, it has their
         errors; otherwise it is independent of all else.
         """
-        by_state, part = np.zeros((POSE, len(self.x))), slice(POSE * robot, POSE * robot + POSE)
+        by_state = np.zeros((POSE, len(self.x)))
+        part = slice(POSE * robot, POSE * robot + POSE)
         if by_lines is not None:
             by_state[:, self._lines_from : self._lines_from + by_lines.shape[1]] = by_lines
-        joint, by_errors = by_state @ self.P, by_state @ self.by_errors
+        joint = by_state @ self.P
+        by_errors = by_state @ self.by_errors
         own = joint @ by_state.T + covariance
-        self.x[part], self.P[part], self.P[:, part], self.by_errors[part] = (
-            pose,
-            joint,
-            joint.T,
-            by_errors,
-        )
+        self.x[part] = pose
+        self.P[part] = joint
+        self.P[:, part] = joint.T
+        self.by_errors[part] = by_errors
         self.P[part, part] = own
 
     def make_room(self, lines: int = 0, clones: int = 0) -> None:
         """Make room in the arrays for so many further lines and clones."""
-        arrays, size, count = self.arrays, size_of(self.arrays.counts), self.num_clones
-        lines, clones = self.num_lines + lines, count + clones
+        arrays = self.arrays
+        size = size_of(self.arrays.counts)
+        count = self.num_clones
+        lines = self.num_lines + lines
+        clones = count + clones
         wanted = self._lines_from + 2 * lines + POSE * clones
         if wanted > len(arrays.x) or lines > len(arrays.anchors) or clones > len(arrays.clones):
             room = wanted + wanted // 8 + 2 * _LINES + POSE * _CLONES
             self.arrays = self._room_for(
                 room, lines + _LINES, clones + _CLONES, arrays.by_errors.shape[1]
             )
-            self.arrays.x[:size], self.arrays.P[:size, :size] = (
-                arrays.x[:size],
-                arrays.P[:size, :size],
-            )
+            self.arrays.x[:size] = arrays.x[:size]
+            self.arrays.P[:size, :size] = arrays.P[:size, :size]
             self.arrays.by_errors[:size] = arrays.by_errors[:size]
 
     def clone(self, robot: int = 0) -> int:
@@ -359,10 +380,8 @@ class CloneEKF:
         was before.
         """
         self.make_room(clones=1)
-        number, ranges = (
-            clone_filter.clone(self.arrays, robot, self._jitters[robot]),
-            self._errors.ranges,
-        )
+        number = clone_filter.clone(self.arrays, robot, self._jitters[robot])
+        ranges = self._errors.ranges
         if ranges is not None:
             self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
         return number
@@ -383,7 +402,8 @@ class CloneEKF:
         """
         (r, theta), index = line.tolist(), self.add_line(float(line[1]), anchor)
         part, (x, y) = self._part(index), anchor.tolist()
-        cos, sin = np.cos(theta), np.sin(theta)
+        cos = np.cos(theta)
+        sin = np.sin(theta)
         about_anchor = np.array([[1.0, x * sin - y * cos], [0.0, 1.0]])
         self.x[part] = r - x * cos - y * sin, theta
         self.P[part, part] = about_anchor @ covariance @ about_anchor.T
@@ -393,7 +413,8 @@ class CloneEKF:
         """Differences of n pairs of lines (2 n,), as of ``clone_filter.difference``, and their
         covariance.
         """
-        off, H = np.zeros(2 * len(pairs)), np.zeros((2 * len(pairs), len(self.x)))
+        off = np.zeros(2 * len(pairs))
+        H = np.zeros((2 * len(pairs), len(self.x)))
         for row, pair in enumerate(pairs):
             off[2 * row : 2 * row + 2], own, columns = equality(self.arrays, *pair)
             H[2 * row : 2 * row + 2, columns] = own
@@ -414,7 +435,8 @@ class CloneEKF:
 
         The calibration of the odometry is kept. From now on it is independent of the rest.
         """
-        part, size = slice(self._poses_end, self._lines_from), self._lines_from + lines.size
+        part = slice(self._poses_end, self._lines_from)
+        size = self._lines_from + lines.size
         kept = np.r_[: self._poses_end, self._lines_from : size]
         arrays = self._room_for(size, len(lines), 0, self.arrays.by_errors.shape[1])
         arrays.P[part, part] = self.P[part, part]
@@ -422,7 +444,8 @@ class CloneEKF:
         arrays.x[:] = np.concatenate((poses.ravel(), self.x[part], lines.ravel()))
         arrays.x[2 : self._poses_end : POSE] = wrap_angle(poses.reshape(-1, POSE)[:, 2])
         arrays.anchors[:] = anchors
-        arrays.counts[LINES], arrays.counts[CLONES] = len(lines), 0
+        arrays.counts[LINES] = len(lines)
+        arrays.counts[CLONES] = 0
         self.arrays = arrays
 
     def correct_ranges(self, errors: FloatArray) -> None:
@@ -487,10 +510,14 @@ class CloneEKF:
         """Arrays for a state of a size, all zero, with the anchors, clones and counts of this
         filter.
         """
-        old, counts = self.arrays, self.arrays.counts.copy()
-        anchors, numbers = np.zeros((lines, 2)), np.zeros(clones, dtype=np.int64)
-        known, open_clones = min(lines, self.num_lines), min(clones, self.num_clones)
-        anchors[:known], numbers[:open_clones] = old.anchors[:known], old.clones[:open_clones]
+        old = self.arrays
+        counts = self.arrays.counts.copy()
+        anchors = np.zeros((lines, 2))
+        numbers = np.zeros(clones, dtype=np.int64)
+        known = min(lines, self.num_lines)
+        open_clones = min(clones, self.num_clones)
+        anchors[:known] = old.anchors[:known]
+        numbers[:open_clones] = old.clones[:open_clones]
         by_errors = np.zeros((size, errors))
         return Filter(
             np.zeros(size),
@@ -505,7 +532,8 @@ class CloneEKF:
 
     def _correct(self, change: FloatArray) -> None:
         """Add a correction (n,) to the state, and transport the error of P to the new state."""
-        arrays, size = self.arrays, len(change)
+        arrays = self.arrays
+        size = len(change)
         moved = correct_state(
             arrays.x,
             arrays.P,

@@ -79,12 +79,11 @@ def lines_near(ekf: Filter, theta: float, x: float, y: float, offset: float) -> 
     """Lines (k,) with about this direction, rad, that pass a point, m, at less than ``offset``,
     m.
     """
-    first, end, anchors = (
-        line_at(ekf.counts, 0),
-        clones_from(ekf.counts),
-        ekf.anchors[: ekf.counts[LINES]],
-    )
-    d, own = ekf.x[first:end:2], ekf.x[first + 1 : end : 2]
+    first = line_at(ekf.counts, 0)
+    end = clones_from(ekf.counts)
+    anchors = ekf.anchors[: ekf.counts[LINES]]
+    d = ekf.x[first:end:2]
+    own = ekf.x[first + 1 : end : 2]
     turn = np.abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
     off = np.abs((x - anchors[:, 0]) * np.cos(own) + (y - anchors[:, 1]) * np.sin(own) - d)
     return np.flatnonzero((turn < MAX_ANGLE) & (off < offset))
@@ -118,7 +117,8 @@ def compare(
     ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
 ) -> float:
     """How badly readings fit a line: ``kernels.updates.compare_readings``."""
-    line, anchor = line_at(ekf.counts, index), anchor_of(ekf, index)
+    line = line_at(ekf.counts, index)
+    anchor = anchor_of(ekf, index)
     return compare_readings(
         ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances
     )
@@ -131,9 +131,12 @@ def clone(ekf: Filter, robot: int, jitter: FloatArray) -> int:
     The copy is where the robot is, and the pose is the sum of what its encoders have reported:
     ``jitter`` (3, 3) is the covariance of their difference, in the robot's frame.
     """
-    number, size, whole = ekf.counts[NEXT_CLONE], size_of(ekf.counts), ekf.counts[POSES_END]
+    number = ekf.counts[NEXT_CLONE]
+    size = size_of(ekf.counts)
+    whole = ekf.counts[POSES_END]
     copy_pose(ekf.x, ekf.P, ekf.by_errors, size, whole, POSE * robot)
-    by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+    by_pose = np.zeros((POSE, POSE))
+    by_increment = np.zeros((POSE, POSE))
     move_pose(ekf.x, ekf.P, size + POSE, size, np.zeros(POSE), jitter, by_pose, by_increment, whole)
     ekf.clones[ekf.counts[CLONES]] = number
     ekf.counts[CLONES] += 1
@@ -151,10 +154,8 @@ def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
     """Marginalise all clones but the wanted ones (n,). What they contributed to other states
     remains.
     """
-    clones, is_wanted = (
-        ekf.clones[: ekf.counts[CLONES]],
-        np.zeros(ekf.counts[CLONES], dtype=np.bool_),
-    )
+    clones = ekf.clones[: ekf.counts[CLONES]]
+    is_wanted = np.zeros(ekf.counts[CLONES], dtype=np.bool_)
     is_wanted[np.searchsorted(clones, wanted.astype(np.int64))] = True
     if is_wanted.all():
         return
@@ -170,15 +171,22 @@ def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
 
     It goes through its anchor (x, y), m, with its normal at ``theta``, rad.
     """
-    at, old, index = clones_from(ekf.counts), size_of(ekf.counts), num_lines(ekf)
-    after, new = at + 2, old + 2
+    at = clones_from(ekf.counts)
+    old = size_of(ekf.counts)
+    index = num_lines(ekf)
+    after = at + 2
+    new = old + 2
     ekf.x[after:new], ekf.by_errors[after:new] = ekf.x[at:old].copy(), ekf.by_errors[at:old].copy()
     ekf.P[after:new, :old] = ekf.P[at:old, :old].copy()
     ekf.P[:new, after:new] = ekf.P[:new, at:old].copy()
-    ekf.P[at:after, :new], ekf.P[:new, at:after], ekf.by_errors[at:after] = 0.0, 0.0, 0.0
-    ekf.x[at], ekf.x[at + 1] = 0.0, theta
+    ekf.P[at:after, :new] = 0.0
+    ekf.P[:new, at:after] = 0.0
+    ekf.by_errors[at:after] = 0.0
+    ekf.x[at] = 0.0
+    ekf.x[at + 1] = theta
     ekf.P[at, at], ekf.P[at + 1, at + 1] = LINE_PRIOR
-    ekf.anchors[index, 0], ekf.anchors[index, 1] = x, y
+    ekf.anchors[index, 0] = x
+    ekf.anchors[index, 1] = y
     ekf.counts[LINES] += 1
     return index
 
@@ -239,13 +247,19 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
     """
     (d, theta), (other_d, other) = line_of(ekf, older), line_of(ekf, younger)
     (from_x, from_y), (x, y) = anchor_of(ekf, older), anchor_of(ekf, younger)
-    cos, sin, is_turned = math.cos(theta), math.sin(theta), math.cos(theta - other) < 0.0
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    is_turned = math.cos(theta - other) < 0.0
     sign = -1.0 if is_turned else 1.0
     across = sign * (d - (x - from_x) * cos - (y - from_y) * sin) - other_d
     turn = (theta - other + (math.pi if is_turned else 0.0) + math.pi) % (2.0 * math.pi) - math.pi
-    H, columns = np.zeros((2, POSE + 4)), np.empty(POSE + 4, dtype=np.int64)
-    H[0, POSE], H[0, POSE + 1] = sign, sign * ((x - from_x) * sin - (y - from_y) * cos)
-    H[0, POSE + 2], H[1, POSE + 1], H[1, POSE + 3] = -1.0, 1.0, -1.0
+    H = np.zeros((2, POSE + 4))
+    columns = np.empty(POSE + 4, dtype=np.int64)
+    H[0, POSE] = sign
+    H[0, POSE + 1] = sign * ((x - from_x) * sin - (y - from_y) * cos)
+    H[0, POSE + 2] = -1.0
+    H[1, POSE + 1] = 1.0
+    H[1, POSE + 3] = -1.0
     for k in range(POSE):
         columns[k] = k
     for k in range(2):
@@ -253,7 +267,9 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
             line_at(ekf.counts, older) + k,
             line_at(ekf.counts, younger) + k,
         )
-    along_x, along_y, variance = math.cos(other) - sign * cos, math.sin(other) - sign * sin, 0.0
+    along_x = math.cos(other) - sign * cos
+    along_y = math.sin(other) - sign * sin
+    variance = 0.0
     by_pose = along_x, along_y, (x - ekf.x[0]) * along_y - (y - ekf.x[1]) * along_x
     for i in range(POSE):
         for j in range(POSE):
@@ -280,12 +296,19 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
     rotation of all lines and poses then changes nothing in it, so that many merges say nothing
     about the global heading.
     """
-    size, begins, count = size_of(ekf.counts), begins_of(ekf.counts), num_lines(ekf)
-    start, change = ekf.x[:size].copy(), np.zeros(size)
+    size = size_of(ekf.counts)
+    begins = begins_of(ekf.counts)
+    count = num_lines(ekf)
+    start = ekf.x[:size].copy()
+    change = np.zeros(size)
     at_first = error_transport(ekf.x, size, begins, ekf.anchors, count)
     pose = ekf.P[:POSE, :size].copy()
-    W, factor = np.zeros((2, size)), np.zeros((2, 2))
-    moved, H, columns, innovation = at_first, factor, np.arange(0), factor[0]
+    W = np.zeros((2, size))
+    factor = np.zeros((2, 2))
+    moved = at_first
+    H = factor
+    columns = np.arange(0)
+    innovation = factor[0]
     for _ in range(iterations):
         ekf.x[:size] += change
         moved = error_transport(ekf.x, size, begins, ekf.anchors, count) - at_first

@@ -82,12 +82,11 @@ class ConsistentEstimator(Estimator):
         # Kernels. Who imports this module need not wait for numba.
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
-        robot, robots, config = (
-            self.robot,
-            len(self.robots),
-            cast(ConsistentConfig, self.config.estimator),
-        )
-        calibration, errors = config.self_calibration, config.range_errors
+        robot = self.robot
+        robots = len(self.robots)
+        config = cast(ConsistentConfig, self.config.estimator)
+        calibration = config.self_calibration
+        errors = config.range_errors
         stds = (
             errors.stds(len(robot.beams) if robots == 1 else 0, robot.control_period)
             if errors.enabled
@@ -99,13 +98,15 @@ class ConsistentEstimator(Estimator):
             self.filter.calibrate()
         self._with_heading: set[int] = set()  # robots whose calibration is one of headings
         self._contacts = [Contacts(robot, self.config.range_std) for _ in self.robots]
-        pending, self._sides = config.pending, sides_of(robot, config.pending.beams)
+        pending = config.pending
+        self._sides = sides_of(robot, config.pending.beams)
         widest = int(np.bincount(self._sides + 1, minlength=2)[1:].max())
         room = widest * most_clones(pending.batch, pending.max_clones, robots)
         self._travel = np.zeros((robots, POSE + 1 + len(SIDES)))
         self._travel[:, [DRIVEN_AT, TURNED_AT]] = -math.inf
         rows = robots * len(SIDES)
-        self._pending, self._fill = np.zeros((rows, room, 5)), np.zeros((rows, 2), dtype=np.int64)
+        self._pending = np.zeros((rows, room, 5))
+        self._fill = np.zeros((rows, 2), dtype=np.int64)
         self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
         self._assume(sensor or self._specified)
         self._map: WallMap = WallMap(self.filter, config.extents)
@@ -179,7 +180,8 @@ class ConsistentEstimator(Estimator):
         """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad;
         None if no beam is.
         """
-        turns, errors = self.sensor.turns, self.filter.range_errors
+        turns = self.sensor.turns
+        errors = self.filter.range_errors
         if not turns or errors is None or not len(errors.turns):
             return None
         return np.asarray(errors.turns + np.column_stack((turns, np.zeros(len(turns)))))
@@ -187,7 +189,8 @@ class ConsistentEstimator(Estimator):
     @property
     def covariances(self) -> FloatArray:
         """Covariance of each robot's pose (n, 3, 3), also by what is unknown of the map's size."""
-        found, std = super().covariances, self.sensor.scale_std
+        found = super().covariances
+        std = self.sensor.scale_std
         if std:
             away = std * (self.poses - self._start) * (1.0, 1.0, 0.0)
             found += away[:, :, None] * away[:, None]
@@ -224,10 +227,8 @@ class ConsistentEstimator(Estimator):
             [index for index, wall in enumerate(walls) if wall.is_wall]
         )
         self.filter.restart(state.pose, state.lines, state.anchors, state.covariance)
-        new, known_as = (
-            self._map.replace(state.walls),
-            [wall.known_as for wall in state.walls if wall.number == NEW],
-        )
+        new = self._map.replace(state.walls)
+        known_as = [wall.known_as for wall in state.walls if wall.number == NEW]
         reports = StepReports(self, 0, self.robots[0].step)
         self._merge_recognised(new, known_as, reports)
         for number in new:
@@ -270,7 +271,8 @@ class ConsistentEstimator(Estimator):
         """
         if motion.turn is not None:
             self._learn_from_turn(number, motion.turn)
-        found, front = self.filter.calibration(number), self.robots[number]
+        found = self.filter.calibration(number)
+        front = self.robots[number]
         if found is not None:
             calibration = self._calibration_of(number, found[0])
             motion = calibrated(motion, self.robot.axle, calibration)
@@ -303,9 +305,11 @@ class ConsistentEstimator(Estimator):
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Collect the new readings of a robot, and process each side that has enough of them."""
         del motion
-        travel, settings = self._travel[number], self.settings
+        travel = self._travel[number]
+        settings = self.settings
         own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
-        pending, fill = self._pending[own], self._fill[own]
+        pending = self._pending[own]
+        fill = self._fill[own]
         if is_due(travel, front.hits, self._sides, settings):
             # A robot that stands sees nothing new: neither what beams end on nor what they pass.
             self._clear_along_beams(number, front)
@@ -331,7 +335,8 @@ class ConsistentEstimator(Estimator):
         """End points of the pending readings, by robot and side."""
         from limslam_agent.slam.consistent.clone_filter import end_points
 
-        found, table = [], self._mounted.beam_table
+        found = []
+        table = self._mounted.beam_table
         for row, (waiting, fresh) in enumerate(self._fill.tolist()):
             places, readings, _ = readings_of(
                 self.filter.arrays, self._pending[row, :waiting], table, self.settings
@@ -345,7 +350,8 @@ class ConsistentEstimator(Estimator):
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
         self.filter.arrays = self.filter.arrays._replace(bend=sensor.bend)
-        self._mounted, self.filter.has_turned_beams = sensor.mounted(self.robot), bool(sensor.turns)
+        self._mounted = sensor.mounted(self.robot)
+        self.filter.has_turned_beams = bool(sensor.turns)
         config = cast(ConsistentConfig, self.config.estimator)
         self.settings = step_settings(config, sensor, self._sensor.usual_std)
 
@@ -422,7 +428,8 @@ class ConsistentEstimator(Estimator):
         """Count the places of landmarks that a robot's new beams have passed through."""
         from limslam_agent.kernels.extents import clear_along_beams
 
-        ekf, sensor = self.filter.arrays, self.sensor
+        ekf = self.filter.arrays
+        sensor = self.sensor
         if ekf.counts[LINES]:
             clear_along_beams(
                 self.walls,

@@ -22,7 +22,9 @@ It replaces ``HoughConfig.max_gap`` for these beams, which meet a wall at places
 # Association. A landmark is considered if it is not farther away than this: the gap along the wall,
 # the difference of direction, and the offset across the wall. The angle and the offset also limit
 # the merging of two landmarks.
-MAX_END_GAP, MAX_ANGLE, MAX_OFFSET = 0.35, math.radians(20.0), 0.5
+MAX_END_GAP = 0.35
+MAX_ANGLE = math.radians(20.0)
+MAX_OFFSET = 0.5
 
 FAR_GATE = 25.0
 """Readings with a chi-square between ``WallAssociationConfig.gate`` and this one create no

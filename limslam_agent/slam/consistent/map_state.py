@@ -50,10 +50,8 @@ class MapState:
         rows = np.append(
             np.arange(POSE), [POSE + 2 * index + part for index in chosen for part in (0, 1)]
         ).astype(int)
-        covariance, walls = (
-            self.covariance[np.ix_(rows, rows)],
-            [self.walls[index] for index in chosen],
-        )
+        covariance = self.covariance[np.ix_(rows, rows)]
+        walls = [self.walls[index] for index in chosen]
         return MapState(self.pose, self.lines[chosen], self.anchors[chosen], covariance, walls)
 
     @property
@@ -84,7 +82,8 @@ class MapState:
         nearest = away.argmin(axis=1)
         rows = np.flatnonzero(away.min(axis=1) < _AT_WALL)
         # How far the walls move towards the points with each line, and with all of them together.
-        by_lines, column = np.zeros((len(rows), 2 * len(self.lines))), 2 * nearest[rows]
+        by_lines = np.zeros((len(rows), 2 * len(self.lines)))
+        column = 2 * nearest[rows]
         by_lines[np.arange(len(rows)), column] = 1.0
         by_lines[np.arange(len(rows)), column + 1] = -along[rows, nearest[rows]]
         x, y, _ = pose.tolist()
@@ -154,7 +153,8 @@ def _motions_around(state: MapState, lines: FloatArray) -> FloatArray:
     of all those that are near, and have the same error of the heading, since both ends of a loop
     may lie at the same place of the map.
     """
-    motions, changes = np.zeros((len(lines), POSE)), (lines - state.lines).ravel()
+    motions = np.zeros((len(lines), POSE))
+    changes = (lines - state.lines).ravel()
     headings = state.covariance[POSE + 1 :: 2, POSE + 1 :: 2]
     for number, (x, y) in enumerate(state.anchors.tolist()):
         away = np.hypot(*(state.anchors - (x, y)).T)
@@ -187,7 +187,8 @@ def poses_moved_with(place: tuple[float, float], poses: FloatArray) -> FloatArra
     """
     by_pose = np.zeros((len(poses), POSE, POSE))
     by_pose[:] = np.eye(POSE)
-    by_pose[:, 0, 2], by_pose[:, 1, 2] = place[1] - poses[:, 1], poses[:, 0] - place[0]
+    by_pose[:, 0, 2] = place[1] - poses[:, 1]
+    by_pose[:, 1, 2] = poses[:, 0] - place[0]
     return by_pose.reshape(-1, POSE)
 
 

@@ -52,7 +52,8 @@ def closes_loop(
     listener: "StepReports | None",
 ) -> bool:
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
-    older, younger = min(first, second), max(first, second)
+    older = min(first, second)
+    younger = max(first, second)
     overlap, offset = separation(ekf, walls, older, younger)
     if not settings.closes_loops or overlap < limits.MIN_OVERLAP or offset > limits.MAX_OFFSET:
         return False
@@ -91,13 +92,18 @@ def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[flo
         anchor_of(ekf, younger),
         0.5 * walls.ends[younger].sum(),
     )
-    cos, sin = math.cos(theta), math.sin(theta)
-    x, y, low, high = x + d * cos, y + d * sin, walls.ends[younger, 0], walls.ends[younger, 1]
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    x = x + d * cos
+    y = y + d * sin
+    low = walls.ends[younger, 0]
+    high = walls.ends[younger, 1]
     one = along_point(ekf, older, x - low * sin, y + low * cos)
     two = along_point(ekf, older, x - high * sin, y + high * cos)
     overlap = min(max(one, two), walls.ends[older, 1]) - max(min(one, two), walls.ends[older, 0])
     (d, theta), (anchor_x, anchor_y) = line_of(ekf, older), anchor_of(ekf, older)
-    across_x, across_y = x - middle * sin - anchor_x, y + middle * cos - anchor_y
+    across_x = x - middle * sin - anchor_x
+    across_y = y + middle * cos - anchor_y
     return overlap, abs(across_x * math.cos(theta) + across_y * math.sin(theta) - d)
 
 
@@ -105,11 +111,9 @@ def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
     """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its
     covariance (2, 2).
     """
-    a, b, c = (
-        covariance[0, 0] + limits.STRAIGHTNESS[0],
-        covariance[0, 1],
-        covariance[1, 1] + limits.STRAIGHTNESS[1],
-    )
+    a = covariance[0, 0] + limits.STRAIGHTNESS[0]
+    b = covariance[0, 1]
+    c = covariance[1, 1] + limits.STRAIGHTNESS[1]
     return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
 
 

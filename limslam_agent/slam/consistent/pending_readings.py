@@ -72,7 +72,8 @@ def is_due(travel: FloatArray, hits: BoolArray, sides: IntArray, settings: StepS
     is_seen = False
     for beam in range(len(hits)):
         if hits[beam] and sides[beam] >= 0:
-            travel[LAST_HIT + sides[beam]], is_seen = travel[DRIVEN], True
+            travel[LAST_HIT + sides[beam]] = travel[DRIVEN]
+            is_seen = True
     has_driven = travel[DRIVEN] - travel[DRIVEN_AT] >= settings.min_distance
     return bool(is_seen and (has_driven or travel[TURNED] - travel[TURNED_AT] >= settings.min_turn))
 
@@ -95,8 +96,11 @@ def collect(
         if hits[beam] and sides[beam] >= 0:
             side = sides[beam]
             reading = pending[side, fill[side, WAITING]]
-            reading[CLONE], reading[BEAM], reading[RANGE] = clone, beam, ranges[beam]
-            reading[DRIVEN_THEN], reading[TAKEN_AT] = travel[DRIVEN], step
+            reading[CLONE] = clone
+            reading[BEAM] = beam
+            reading[RANGE] = ranges[beam]
+            reading[DRIVEN_THEN] = travel[DRIVEN]
+            reading[TAKEN_AT] = step
             fill[side, WAITING] += 1
             fill[side, FRESH] += 1
 
@@ -121,9 +125,13 @@ def readings_of(
 
     Beams and ranges (n, 6) are those of ``kernels.measurement``, and the number of the beam.
     """
-    numbers, readings = waiting[:, BEAM].astype(np.int64), np.empty((len(waiting), 6))
-    readings[:, 0], readings[:, 1] = beams[:, FROM_X][numbers], beams[:, FROM_Y][numbers]
-    readings[:, 2], readings[:, 3] = beams[:, ANGLE][numbers], waiting[:, RANGE]
-    readings[:, 4], readings[:, 5] = settings.cone, waiting[:, BEAM]
+    numbers = waiting[:, BEAM].astype(np.int64)
+    readings = np.empty((len(waiting), 6))
+    readings[:, 0] = beams[:, FROM_X][numbers]
+    readings[:, 1] = beams[:, FROM_Y][numbers]
+    readings[:, 2] = beams[:, ANGLE][numbers]
+    readings[:, 3] = waiting[:, RANGE]
+    readings[:, 4] = settings.cone
+    readings[:, 5] = waiting[:, BEAM]
     variances = settings.std**2 + (settings.growth * readings[:, 3] ** 2) ** 2
     return places_of(ekf, waiting[:, CLONE]), readings, variances

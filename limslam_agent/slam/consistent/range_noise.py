@@ -62,7 +62,9 @@ class RangeNoise:
         # Noise that is already below the least one may stay as it is.
         self._stds = stds[stds >= min(least_std, assumed.std) * (1.0 - 1e-9)]
         self._growths = np.array(GROWTHS) * assumed.std / reach**2
-        self._assumed, self._least, self._total = assumed, math.log(least_ratio), 0
+        self._assumed = assumed
+        self._least = math.log(least_ratio)
+        self._total = 0
         # For each noise that is considered: the likelihood ratio, and the sum of its differences
         # from the assumed one.
         self._likelihoods, self._off = np.zeros((2, len(self._stds), len(self._growths)))
@@ -74,7 +76,8 @@ class RangeNoise:
         # A line has two parameters.
         sizes = np.abs(residuals) * math.sqrt(len(residuals) / (len(residuals) - 2.0))
         is_counted = sizes < LARGEST
-        sizes, ranges = sizes[is_counted, None, None], ranges[is_counted, None, None]
+        sizes = sizes[is_counted, None, None]
+        ranges = ranges[is_counted, None, None]
         ratios = np.hypot(self._stds[:, None], self._growths * ranges**2) / self._assumed.stds(
             ranges
         )

@@ -28,13 +28,16 @@ class StepReports:
     """A listener for the decisions of one step of a robot."""
 
     def __init__(self, estimator: "ConsistentEstimator", robot: int, step: int) -> None:
-        self._estimator, self._robot, self._step = estimator, robot, step
+        self._estimator = estimator
+        self._robot = robot
+        self._step = step
 
     def extracted(self, row: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
         """The lines (k, 2) with their ends (k, 2, 2) that were found in the pending readings of a
         side.
         """
-        estimator, side = self._estimator, SIDES[row % len(SIDES)]
+        estimator = self._estimator
+        side = SIDES[row % len(SIDES)]
         estimator.last_extraction = Extraction(
             self._robot,
             side,
@@ -50,8 +53,10 @@ class StepReports:
         """A piece's rows of ``pending`` and the residuals of its readings, before anything is
         decided about it.
         """
-        self._sources, is_clear = waiting[:, [TAKEN_AT, BEAM]].astype(int), np.isfinite(residuals)
-        self._residuals, self._ranges = residuals[is_clear], waiting[is_clear, RANGE]
+        self._sources = waiting[:, [TAKEN_AT, BEAM]].astype(int)
+        is_clear = np.isfinite(residuals)
+        self._residuals = residuals[is_clear]
+        self._ranges = waiting[is_clear, RANGE]
 
     def compared(
         self, piece: "Piece", squared: FloatArray, landmarks: IntArray, gate: float
@@ -90,8 +95,10 @@ class StepReports:
 
     def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
-        belief, walls = self._estimator.filter, self._estimator.walls
-        line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
+        belief = self._estimator.filter
+        walls = self._estimator.walls
+        line = belief.line(index)
+        middle = piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
         offset = abs(float((middle - belief.anchors[index]) @ normal(line) - line[0]))
         along, (low, high) = (

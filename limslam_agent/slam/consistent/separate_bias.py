@@ -39,7 +39,8 @@ class SeparateBias:
     """
 
     def __init__(self, prior: FloatArray) -> None:
-        self._prior, size = prior, len(prior) + 1
+        self._prior = prior
+        size = len(prior) + 1
         # Those of all updates, and those without each group of walls
         self._sums = np.zeros((1 + FOLDS, len(BENDS), size, size))
 
@@ -68,8 +69,10 @@ class SeparateBias:
         straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
         those of each group of walls.
         """
-        rows, chi_squares = self._sums[..., :-1, :][..., part, :], self._sums[..., -1, -1]
-        information, score = rows[..., :-1][..., part], rows[..., -1:]
+        rows = self._sums[..., :-1, :][..., part, :]
+        chi_squares = self._sums[..., -1, -1]
+        information = rows[..., :-1][..., part]
+        score = rows[..., -1:]
         prior = self._prior[part][:, part]
         narrowed = np.eye(len(prior)) + information @ prior
         gains = np.swapaxes(score, -1, -2) @ prior @ np.linalg.solve(narrowed, score)
@@ -80,8 +83,10 @@ class SeparateBias:
         """The filter was updated by measurements of a wall: whitened derivatives (m, k) by the
         errors, innovation, and derivative by the curvature of the wall, side by side (m, k + 2).
         """
-        joined, bent = whitened[:, :-1], whitened[:, -1]
-        shared, sizes = joined.T @ bent, BENDS**2 * (bent @ bent)
+        joined = whitened[:, :-1]
+        bent = whitened[:, -1]
+        shared = joined.T @ bent
+        sizes = BENDS**2 * (bent @ bent)
         shares = BENDS**2 / (1.0 + sizes)
         sums = joined.T @ joined - shares[:, None, None] * np.outer(shared, shared)
         sums[:, -1, -1] += np.log1p(sizes)
@@ -114,10 +119,12 @@ class OdometryErrors(SeparateBias):
         )
 
 
-COMMON, TURNS = slice(0, 3), slice(3, None)
+COMMON = slice(0, 3)
+TURNS = slice(3, None)
 """Those of the ``RangeErrors`` that all beams share, and the directions of single beams."""
 
-LENGTHS, DELAY = slice(0, 2), 2
+LENGTHS = slice(0, 2)
+DELAY = 2
 """Bias and opening angle, and the place of the delay, among the ``RangeErrors``."""
 
 
@@ -154,7 +161,8 @@ class RangeErrors(SeparateBias):
         """The likeliest curvature of walls, 1/m, and twice the logarithm of the Bayes factor for it
         against straight walls, with these errors or without.
         """
-        bent, straight = self._evidences_of(NONE)[0], self._evidences_of(slice(None)).item(0)
+        bent = self._evidences_of(NONE)[0]
+        straight = self._evidences_of(slice(None)).item(0)
         best = int(bent.argmax())
         return BENDS.item(best), bent.item(best) - max(straight, 0.0)
 
@@ -224,7 +232,8 @@ class ConstantErrors:
     """
 
     def __init__(self, odometry: OdometryErrors | None, ranges: RangeErrors | None) -> None:
-        self.odometry, self.ranges = odometry, ranges
+        self.odometry = odometry
+        self.ranges = ranges
 
     @property
     def count(self) -> int:
@@ -308,7 +317,8 @@ def note_readings(
     is at ``theta``.
     """
     moved, _, expected, jacobian, columns, factor, whitened, innovation, chosen = found
-    direct, ranges = None, ekf.errors.ranges
+    direct = None
+    ranges = ekf.errors.ranges
     if ranges is not None:
         headings = ekf.x[clones_from + POSE * places[chosen] + 2]
         direct = by_range_errors(
@@ -356,9 +366,12 @@ def by_range_errors(
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
     by_width = -expected[:, 0] * sines / cosines
     by_errors = np.zeros((len(cosines), TURNS.start + beams))
-    by_errors[:, 0], by_errors[:, 1] = 1.0, by_width
+    by_errors[:, 0] = 1.0
+    by_errors[:, 1] = by_width
     if beams:
-        angles, cones, numbers = readings[:, 2], readings[:, 4], readings[:, 5].astype(int)
+        angles = readings[:, 2]
+        cones = readings[:, 4]
+        numbers = readings[:, 5].astype(int)
         turn = angle_between(theta - headings - angles)
         turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -cones, cones), 0.0)
         slants = angle_between(headings + angles + turn - theta)

@@ -52,7 +52,9 @@ class StepSettings(NamedTuple):
 
 def step_settings(config: ConsistentConfig, sensor: RangeSensor, usual_std: float) -> StepSettings:
     """The numbers for a sensor whose ranges of usual length have a standard deviation, m."""
-    pending, hough, creation = config.pending, config.hough, config.for_ranges(usual_std).creation
+    pending = config.pending
+    hough = config.hough
+    creation = config.for_ranges(usual_std).creation
     return StepSettings(
         std=sensor.std,
         growth=sensor.growth,

@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 NEW = -1
 """Number of a landmark that has not got its number yet."""
 
-_LANDMARKS, _BINS = 24, 128
+_LANDMARKS = 24
+_BINS = 128
 """Room for landmarks, and for bins of each, that is made at once."""
 
 
@@ -133,7 +134,8 @@ class WallMap:
     """
 
     def __init__(self, belief: "CloneEKF", config: ExtentConfig) -> None:
-        self._belief, self._config = belief, config
+        self._belief = belief
+        self._config = config
         self.arrays = empty_walls(_LANDMARKS, _BINS)
         self._intervals: dict[int, tuple[int, FloatArray]] = {}
         self._drawn: tuple[bytes, FloatArray, IntArray] = (
@@ -152,11 +154,13 @@ class WallMap:
 
     def make_room(self, landmarks: int) -> None:
         """Make room for further landmarks, and for each landmark to grow."""
-        room, bins = self.arrays.counted.shape[0], self.arrays.counted.shape[2]
+        room = self.arrays.counted.shape[0]
+        bins = self.arrays.counted.shape[2]
         longest = int(self.arrays.table[: len(self), LENGTH].max(initial=0))
         if len(self) + landmarks > room or 2 * longest + _BINS > bins:
             more = landmarks + _LANDMARKS if len(self) + landmarks > room else 0
-            old, self.arrays = self.arrays, empty_walls(room + more, max(bins, 3 * longest + _BINS))
+            old = self.arrays
+            self.arrays = empty_walls(room + more, max(bins, 3 * longest + _BINS))
             pairs: list[tuple[Any, Any]] = list(zip(old, self.arrays, strict=True))
             for before, after in pairs:
                 after[tuple(slice(size) for size in before.shape)] = before
@@ -193,22 +197,24 @@ class WallMap:
 
         Landmarks with the number ``NEW`` get their numbers, which are returned.
         """
-        new, number = [], int(self.arrays.tally[NEXT_NUMBER])
+        new = []
+        number = int(self.arrays.tally[NEXT_NUMBER])
         longest = max((len(wall.extent.counted[0]) for wall in walls), default=0)
         self.arrays = empty_walls(len(walls) + _LANDMARKS, 3 * longest + _BINS)
         for index, wall in enumerate(walls):
-            low, length, extent = wall.extent.low, len(wall.extent.counted[0]), wall.extent
+            low = wall.extent.low
+            length = len(wall.extent.counted[0])
+            extent = wall.extent
             if wall.number == NEW:
                 new.append(number)
                 number += 1
             own = new[-1] if wall.number == NEW else wall.number
             self.arrays.table[index] = low, length, wall.groups, wall.readings, own, 0
-            self.arrays.counted[index, :, :length], self.arrays.ends[index] = (
-                extent.counted,
-                extent.ends,
-            )
+            self.arrays.counted[index, :, :length] = extent.counted
+            self.arrays.ends[index] = extent.ends
             self.arrays.reached[index, :, :length] = extent.reached
-        self.arrays.tally[NEXT_NUMBER], self._intervals = number, {}
+        self.arrays.tally[NEXT_NUMBER] = number
+        self._intervals = {}
         self._drawn = (b"outdated", *self._drawn[1:])
         return new
 
@@ -229,7 +235,8 @@ class WallMap:
         covariance += np.diag(np.tile(STRAIGHTNESS, len(pairs)))
         chosen = np.arange(len(pairs))
         while len(chosen):
-            rows, each = (2 * chosen[:, None] + np.arange(2)).ravel(), np.arange(len(chosen))
+            rows = (2 * chosen[:, None] + np.arange(2)).ravel()
+            each = np.arange(len(chosen))
             information = np.linalg.inv(covariance[np.ix_(rows, rows)])
             residuals = (information @ off[rows]).reshape(-1, 2, 1)
             own = information.reshape(len(each), 2, len(each), 2)[each, :, each]
@@ -253,7 +260,9 @@ class WallMap:
     @property
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
-        owners, is_shown, intervals = self._segments()[1], self._is_shown, self._wall_intervals()
+        owners = self._segments()[1]
+        is_shown = self._is_shown
+        intervals = self._wall_intervals()
         return [
             replace(mark, segments=tuple(np.flatnonzero(owners == index).tolist()))
             for index, mark in enumerate(self.all_landmarks)
@@ -278,10 +287,8 @@ class WallMap:
 
     def _extent(self, index: int) -> WallExtent:
         low, length = self.arrays.table[index, [LOW, LENGTH]].tolist()
-        counted, reached = (
-            self.arrays.counted[index, :, :length],
-            self.arrays.reached[index, :, :length],
-        )
+        counted = self.arrays.counted[index, :, :length]
+        reached = self.arrays.reached[index, :, :length]
         return WallExtent(low, counted.copy(), reached.copy())
 
     @property
@@ -313,10 +320,8 @@ class WallMap:
         if self._drawn[0] != key:
             pieces = self._wall_intervals()
             owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
-            along, lines = (
-                np.concatenate((np.zeros((0, 2)), *pieces)),
-                self._belief.anchored[owners],
-            )
+            along = np.concatenate((np.zeros((0, 2)), *pieces))
+            lines = self._belief.anchored[owners]
             anchors, (cos, sin) = (
                 self._belief.anchors[owners],
                 (np.cos(lines[:, 1:]), np.sin(lines[:, 1:])),

@@ -41,7 +41,8 @@ LONGEST = 1.0
 reads its minimum then is broken or covered, or its driver reports 0 where it sees nothing.
 """
 
-ALONG, ACROSS = 0.8, 0.2
+ALONG = 0.8
+ACROSS = 0.2
 """Shares of the slip's variance along the beam and across it: the surface's normal is within some
 45 degrees of it.
 """
@@ -79,12 +80,15 @@ def slip(
     radius, std
         Radius of the body, m, and standard deviation of a range, m.
     """
-    most, angle = 0.0, 0.0
+    most = 0.0
+    angle = 0.0
     for beam in range(len(ranges)):
-        least, old = max(too_near[beam], LEAST_DIVISOR), memory[beam]
+        least = max(too_near[beam], LEAST_DIVISOR)
+        old = memory[beam]
         if least > NEAR * radius or (old < 0.0 and not (measured[beam] and ranges[beam] <= least)):
             continue
-        driven, gained = ahead * math.cos(angles[beam]), 0.0
+        driven = ahead * math.cos(angles[beam])
+        gained = 0.0
         if old < 0.0:
             memory[beam] = 0.0
         elif measured[beam] and ranges[beam] > least + LASTING * std:
@@ -99,7 +103,8 @@ def slip(
             elif counted >= LEAST_SLIP**2:
                 gained -= counted
         if gained > most:
-            most, angle = gained, angles[beam]
+            most = gained
+            angle = angles[beam]
     return most, angle
 
 
@@ -107,7 +112,8 @@ def slip_covariance(variance: float, angle: float) -> FloatArray:
     """Covariance (3, 3) of a pose increment, m and rad, by slip of this variance, m^2, at a beam's
     angle, rad.
     """
-    cos, sin = math.cos(angle), math.sin(angle)
+    cos = math.cos(angle)
+    sin = math.sin(angle)
     covariance = np.zeros((3, 3))
     covariance[0, 0] = variance * (ALONG * cos * cos + ACROSS * sin * sin)
     covariance[1, 1] = variance * (ALONG * sin * sin + ACROSS * cos * cos)
@@ -123,7 +129,9 @@ class Contacts:
     """
 
     def __init__(self, robot: RobotSpec, std: float) -> None:
-        self._robot, self._std, self._memory = robot, std, np.full(len(robot.beams), -1.0)
+        self._robot = robot
+        self._std = std
+        self._memory = np.full(len(robot.beams), -1.0)
 
     def slip(self, ahead: float, ranges: FloatArray, measured: BoolArray) -> tuple[float, float]:
         """:func:`slip` in the next step."""

@@ -71,7 +71,9 @@ class LineEKF(ExtendedKalmanFilter):
         else.
         """
         part = slice(POSE * robot, POSE * robot + POSE)
-        self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
+        self.x[part] = pose
+        self.P[part] = 0.0
+        self.P[:, part] = 0.0
         self.P[part, part] = covariance
 
     @property
@@ -126,7 +128,8 @@ class LineEKF(ExtendedKalmanFilter):
             columns are zero.
         """
         H = HJacobian(self.x, *args)
-        self.z, self.R = z, R
+        self.z = z
+        self.R = R
         self.y = residual(z, Hx(self.x, *hx_args))
         HP = H @ self.P[columns]
         self.S = HP[:, columns] @ H.T + R
@@ -138,7 +141,8 @@ class LineEKF(ExtendedKalmanFilter):
 
     def columns_of(self, index: int, robot: int = 0) -> IntArray:
         """Indices (5,) in the state of all that a robot's observation of one line depends on."""
-        first, pose = self._first + 2 * index, POSE * robot
+        first = self._first + 2 * index
+        pose = POSE * robot
         return np.array([pose, pose + 1, pose + 2, first, first + 1])
 
     def innovation(
@@ -177,7 +181,8 @@ class LineEKF(ExtendedKalmanFilter):
         2).
         """
         columns = np.concatenate((self.columns_of(older)[POSE:], self.columns_of(younger)[POSE:]))
-        line, other = self.x[columns[:2]], self.x[columns[2:]]
+        line = self.x[columns[:2]]
+        other = self.x[columns[2:]]
         form = nearest_form(line, other)
         H = np.hstack((_in_form_jacobian(line, form), -np.eye(2)))
         return form - other, H @ self.P[np.ix_(columns, columns)] @ H.T
@@ -189,7 +194,8 @@ class LineEKF(ExtendedKalmanFilter):
         This ignores the correlation of the two landmarks and therefore counts shared information
         twice.
         """
-        line, R = self.lines[older], self.line_covariance(older)
+        line = self.lines[older]
+        R = self.line_covariance(older)
         columns = self.columns_of(younger)[POSE:]
         form = nearest_form(line, self.x[columns])
         self.update(
@@ -235,10 +241,12 @@ class LineEKF(ExtendedKalmanFilter):
         """Wrap the angles, and normalise lines that crossed the origin to r >= 0, P included."""
         for heading in range(2, self._first, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))
-        r, theta = self.x[self._first :: 2], self.x[self._first + 1 :: 2]
+        r = self.x[self._first :: 2]
+        theta = self.x[self._first + 1 :: 2]
         for index in np.nonzero(r < 0.0)[0]:
             row = self._first + 2 * index
-            r[index], theta[index] = -r[index], theta[index] + np.pi
+            r[index] = -r[index]
+            theta[index] = theta[index] + np.pi
             self.P[row] *= -1.0
             self.P[:, row] *= -1.0
         if len(theta) and np.abs(theta).max() > np.pi:
@@ -253,17 +261,21 @@ def _whiten(S: FloatArray, HP: FloatArray, y: FloatArray) -> tuple[FloatArray, F
     """
     rows: list[list[float]] = S.tolist()
     L = [[0.0] * len(rows) for _ in rows]
-    W, whitened = np.empty_like(HP), np.empty_like(y)
+    W = np.empty_like(HP)
+    whitened = np.empty_like(y)
     for i in range(len(rows)):
-        row, difference = HP[i], y[i]
+        row = HP[i]
+        difference = y[i]
         for j in range(i):
             L[i][j] = (rows[i][j] - sum(L[i][k] * L[j][k] for k in range(j))) / L[j][j]
-            row, difference = row - L[i][j] * W[j], difference - L[i][j] * whitened[j]
+            row = row - L[i][j] * W[j]
+            difference = difference - L[i][j] * whitened[j]
         pivot = rows[i][i] - sum(part * part for part in L[i][:i])
         if not pivot > 0.0:
             raise np.linalg.LinAlgError("the innovation's covariance is not positive")
         L[i][i] = math.sqrt(pivot)
-        W[i], whitened[i] = row / L[i][i], difference / L[i][i]
+        W[i] = row / L[i][i]
+        whitened[i] = difference / L[i][i]
     return W, whitened
 
 

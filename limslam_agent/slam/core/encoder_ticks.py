@@ -24,7 +24,8 @@ def tick_by(tick: float, travel: float) -> float:
     The tick is negative while all travels were the same, since one travel says nothing of it. Nor
     does a wheel that stands: it may as well drive at one exact speed in between.
     """
-    known, rest = abs(travel), abs(tick)
+    known = abs(travel)
+    rest = abs(tick)
     if known <= _FINEST:
         return tick
     if rest <= _FINEST or abs(known + tick) <= _FINEST:

@@ -53,7 +53,8 @@ class Estimator:
         start_pose: FloatArray | None = None,
         sensor: RangeSensor | None = None,
     ) -> None:
-        self.robot, self.config = robot, config
+        self.robot = robot
+        self.config = config
         self._start = np.atleast_2d(np.zeros(POSE) if start_pose is None else start_pose)
         self._specified = RangeSensor(config.range_std, cone=robot.cone)
         self.robots = [FrontEnd(robot) for _ in self._start]
@@ -160,7 +161,8 @@ class Estimator:
     @property
     def covariances(self) -> FloatArray:
         """Covariance of each robot's pose (n, 3, 3)."""
-        joint, count = self.filter.joint_pose_covariance, len(self.robots)
+        joint = self.filter.joint_pose_covariance
+        count = len(self.robots)
         if count == 1:
             return np.asarray(joint[None])
         return np.asarray(
@@ -335,7 +337,9 @@ class Estimator:
 
     def _jittering(self, number: int, motion: Motion, observation: Observation) -> Motion:
         """A motion with the jitter by the ticks, which are found by its travel, too."""
-        before, axle, covariance = self.ticks[number].tolist(), self.robot.axle, motion.covariance
+        before = self.ticks[number].tolist()
+        axle = self.robot.axle
+        covariance = motion.covariance
         if (
             "wheels" in observation
             and "wheel_variances" not in observation
@@ -349,7 +353,8 @@ class Estimator:
         if ticks != [max(tick, 0.0) for tick in before]:
             first = first_jitter(np.array(before), self.ticks[number], axle)
             if motion.turn is not None:
-                first[2], first[:, 2] = 0.0, 0.0
+                first[2] = 0.0
+                first[:, 2] = 0.0
             covariance = covariance + first
         jitter = known_jitter(*ticks, axle)
         if motion.turn is not None:
@@ -377,13 +382,14 @@ class Estimator:
         """
         from limslam_agent.kernels.nearness import beams_on_robot
 
-        poses, covariance, robot = self.poses, self.filter.joint_pose_covariance, self.robot
-        margins, numbers = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK), range(len(poses))
+        poses = self.poses
+        covariance = self.filter.joint_pose_covariance
+        robot = self.robot
+        margins = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK)
+        numbers = range(len(poses))
         for number, front in enumerate(self.robots):
-            ranges, found = (
-                np.where(front.measured, front.ranges, robot.max_ranges),
-                np.zeros(len(robot.beams), bool),
-            )
+            ranges = np.where(front.measured, front.ranges, robot.max_ranges)
+            found = np.zeros(len(robot.beams), bool)
             for other in (other for other in numbers if other != number):
                 beams_on_robot(
                     poses[number],

@@ -95,7 +95,8 @@ class FrontEnd:
             return
         from limslam_agent.kernels.readings import sort_readings
 
-        robot, values = self._robot, np.array(observation["ranges"], dtype=float)
+        robot = self._robot
+        values = np.array(observation["ranges"], dtype=float)
         limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
         self.reported, self.measured, self.hits = (
             np.empty(len(values)),
@@ -115,11 +116,9 @@ class FrontEnd:
         counts.
         """
         for beam in sensor.broken:
-            self.reported[beam], self.measured[beam], self.hits[beam] = (
-                self._robot.max_ranges[beam],
-                False,
-                False,
-            )
+            self.reported[beam] = self._robot.max_ranges[beam]
+            self.measured[beam] = False
+            self.hits[beam] = False
         self.ranges = sensor.corrected(self.reported, self._robot)
 
     def drop(self, beams: BoolArray) -> None:

@@ -58,11 +58,9 @@ class WaitingTravel:
 
     def __init__(self, robots: int, robot: RobotSpec | None = None) -> None:
         self._totals = [np.zeros((robots, 2))]
-        self._last, self._missing, self._unsteady = (
-            self._totals[0],
-            np.zeros((robots, 2)),
-            unsteadiness(robot or RobotSpec()),
-        )
+        self._last = self._totals[0]
+        self._missing = np.zeros((robots, 2))
+        self._unsteady = unsteadiness(robot or RobotSpec())
         self._given = self.travel = self._totals[0]
         self._yaw: list[FloatArray] = []
 
@@ -84,7 +82,8 @@ class WaitingTravel:
         if not (delay or self.travel.any()):
             self._given = total
             return observations
-        before, place = self._given, np.array([len(self._totals) - 1.0 - delay])
+        before = self._given
+        place = np.array([len(self._totals) - 1.0 - delay])
         self._given = _totals_at(np.array(self._totals), place)[0]
         self.travel = total - self._given
         headings = headings_held_back(np.array(self._yaw), delay)[-1].tolist()
@@ -131,6 +130,7 @@ def _totals_at(totals: FloatArray, places: FloatArray) -> FloatArray:
 
 def _arcs(travel: FloatArray, axle: float) -> FloatArray:
     """The poses (..., 3) to which travel (..., 2) of the wheels leads from the origin."""
-    distance, turn = 0.5 * travel.sum(axis=-1), (travel[..., 1] - travel[..., 0]) / axle
+    distance = 0.5 * travel.sum(axis=-1)
+    turn = (travel[..., 1] - travel[..., 0]) / axle
     chord = distance * np.sinc(0.5 * turn / np.pi)
     return np.stack((chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn), axis=-1)

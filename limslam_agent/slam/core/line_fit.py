@@ -44,7 +44,8 @@ def fit_line(points: FloatArray, std: float) -> LineFit:
     """
     from limslam_agent.kernels import lines
 
-    line, ends = np.empty(2), np.empty((2, 2))
+    line = np.empty(2)
+    ends = np.empty((2, 2))
     line[:] = lines.fit_line(points, np.arange(len(points)), ends)
     along = points @ direction(line)
     # Turning the line about the centroid moves the foot of the origin's perpendicular.

@@ -65,11 +65,9 @@ class Motion:
         A filter takes the derivative by a constant error as exact, and would explain the noise of a
         straight drive by an axle that is too narrow, or by late ranges (errors in variables).
         """
-        turn, covariance, jitter = (
-            self.increment.item(2),
-            self.covariance.item(8),
-            self.jitter.item(8),
-        )
+        turn = self.increment.item(2)
+        covariance = self.covariance.item(8)
+        jitter = self.jitter.item(8)
         return bool(turn**2 > _SURE_TURN**2 * (covariance + 2.0 * jitter))
 
 
@@ -133,7 +131,8 @@ def wheel_motion(
     this function. The variances of the travel are larger by ``more`` (2,), m^2.
     """
     distance, turn = wheels_to_arc(wheels, axle)
-    by_arc, covariance = arc_derivatives(distance, turn), np.zeros((3, 3))
+    by_arc = arc_derivatives(distance, turn)
+    covariance = np.zeros((3, 3))
     for wheel, by_turn in ((0, -1.0 / axle), (1, 1.0 / axle)):
         variance = wheel_variance * abs(float(wheels[wheel])) + LEAST_VARIANCE + more[wheel]
         by_travel = [0.5 * by_distance + by_turn * by_heading for by_distance, by_heading in by_arc]
@@ -173,7 +172,8 @@ def steered(
     """The motion of wheels that travel (2,), m, with the turn by a heading sensor. The variances of
     both wheels are larger by ``more`` in all, m^2.
     """
-    left, right = float(wheels[0]), float(wheels[1])
+    left = float(wheels[0])
+    right = float(wheels[1])
     distance = 0.5 * (left + right)
     variance = 0.5 * LEAST_VARIANCE + 0.25 * (
         noise.wheel_variance * (abs(left) + abs(right)) + more
@@ -216,10 +216,16 @@ def _by_wheels(
     motion: Motion, driven: float, axle: float, calibration: OdometryCalibration
 ) -> tuple[float, float, FloatArray]:
     """Corrected distance, m, and turn, rad, and their derivatives (2, 3) by the calibration."""
-    left, right, turn = calibration.left, calibration.right, motion.increment.item(2)
-    size, uneven, wider = 1.0 + 0.5 * (left + right), right - left, 1.0 + calibration.axle
-    lever, drift = 0.25 * axle * turn, driven / axle
-    distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
+    left = calibration.left
+    right = calibration.right
+    turn = motion.increment.item(2)
+    size = 1.0 + 0.5 * (left + right)
+    uneven = right - left
+    wider = 1.0 + calibration.axle
+    lever = 0.25 * axle * turn
+    drift = driven / axle
+    distance = size * driven + uneven * lever
+    turned = (size * turn + uneven * drift) / wider
     sure, sure_turned = (turn, turned) if motion.has_turned else (0.0, uneven * drift / wider)
     by_errors = [
         [0.5 * driven - lever, 0.5 * driven + lever, 0.0],

@@ -70,7 +70,8 @@ class RangeSensor(NamedTuple):
         """
         if not (self.bias or self.scale):
             return ranges
-        near, far = robot.too_near, robot.too_far
+        near = robot.too_near
+        far = robot.too_far
         is_wall = (ranges > near) & (ranges < far)
         within = np.clip(self.true(ranges), np.nextafter(near, far), np.nextafter(far, near))
         return np.where(is_wall, within, ranges)

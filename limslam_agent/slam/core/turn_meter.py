@@ -44,7 +44,8 @@ JUMP = math.radians(20.0)
 _LONGEST_LAG = 14  # steps
 # Headings are late if the misfit of their turns grows by so many times its mean from a lag to its
 # neighbours, and by more steps than these.
-_CLEARLY, _LATE = 30.0, 0.15
+_CLEARLY = 30.0
+_LATE = 0.15
 
 _SURE = 3.0  # standard deviations of the wheels' turn
 
@@ -85,10 +86,17 @@ class TurnMeter:
     """
 
     def __init__(self, robot: RobotSpec, noise: NominalNoise) -> None:
-        self._robot, self._noise = robot, noise
-        self._yaw, self._tick, self._still, self._resolution = math.nan, 0.0, 0.0, 0.0
-        self.lag, self._shift, self._readings = 0.0, 0.0, 0
-        self._turns, self._misfits = np.zeros(_LONGEST_LAG), np.zeros(_LONGEST_LAG)
+        self._robot = robot
+        self._noise = noise
+        self._yaw = math.nan
+        self._tick = 0.0
+        self._still = 0.0
+        self._resolution = 0.0
+        self.lag = 0.0
+        self._shift = 0.0
+        self._readings = 0
+        self._turns = np.zeros(_LONGEST_LAG)
+        self._misfits = np.zeros(_LONGEST_LAG)
         self._own = math.nan
         self._since_reading()
 
@@ -104,8 +112,11 @@ class TurnMeter:
         more
             Variance of both wheels' travel in all beyond the noise of encoders, m^2.
         """
-        left, right = float(wheels[0]), float(wheels[1])
-        period, axle, travel = self._robot.control_period, self._robot.axle, abs(left) + abs(right)
+        left = float(wheels[0])
+        right = float(wheels[1])
+        period = self._robot.control_period
+        axle = self._robot.axle
+        travel = abs(left) + abs(right)
         turn = (right - left) / axle
         self._still = 0.0 if travel else self._still + period
         self._seconds += period
@@ -153,7 +164,8 @@ class TurnMeter:
 
     def _by_heading(self, own: float, by_wheels: float) -> Turn:
         """The turn of a step in which the heading has turned, rad, since its last reading."""
-        seconds, before = self._seconds, self._resolution
+        seconds = self._seconds
+        before = self._resolution
         self._resolution = self._resolution_variance
         # What the wheels add to a late heading is as uncertain as their turn.
         jitter = self._resolution + self.lag * self._variance * self._robot.control_period / seconds
@@ -204,6 +216,7 @@ def turns_of(
     """The turns of one robot in t steps, by its headings (t,), rad, and its wheels (t, 2), m.
     ``more`` (t,) are as in :meth:`TurnMeter.step`.
     """
-    meter, more = TurnMeter(robot, noise), np.broadcast_to(more, len(yaw))
+    meter = TurnMeter(robot, noise)
+    more = np.broadcast_to(more, len(yaw))
     steps = zip(yaw.tolist(), np.asarray(wheels), more.tolist(), strict=True)
     return [meter.step(*each) for each in steps]

@@ -22,11 +22,13 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
-AGREE_DISTANCE, AGREE_TURN = 0.6, math.radians(9.0)
+AGREE_DISTANCE = 0.6
+AGREE_TURN = math.radians(9.0)
 """Two loops agree if one predicts the other within these tolerances, m and rad."""
 
 # A loop is supported by loops that begin and end so far from it, m driven.
-_SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
+_SUPPORT_FROM = 2.2
+_SUPPORT_TO = 7.8
 _STRETCH = 2  # chunks before and after a chunk
 
 
@@ -114,7 +116,8 @@ def visit_counts(
         travel,
         ANOTHER_VISIT,
     )
-    owner, count = np.repeat(np.arange(len(middles)), points), len(middles)
+    owner = np.repeat(np.arange(len(middles)), points)
+    count = len(middles)
     confirmed = np.bincount(owner[(hits > 0) & (hits >= frees)], minlength=count)
     return VisitCounts(
         middles, points, confirmed, np.bincount(owner[frees > hits], minlength=count)
@@ -132,16 +135,21 @@ def _votes(
     travel: FloatArray,
     another: float,
 ) -> tuple[IntArray, IntArray]:
-    hits, frees = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+    hits = np.zeros(len(points), np.int64)
+    frees = np.zeros(len(points), np.int64)
     size = grids.shape[1]
     for q in range(len(poses)):
         for p in range(len(poses)):
             if abs(travel[p] - travel[q]) < another:
                 continue
-            dx, dy = poses[q, 0] - poses[p, 0], poses[q, 1] - poses[p, 1]
-            cos, sin = np.cos(poses[p, 2]), np.sin(poses[p, 2])
-            x, y = cos * dx + sin * dy, cos * dy - sin * dx
-            cos, sin = np.cos(poses[q, 2] - poses[p, 2]), np.sin(poses[q, 2] - poses[p, 2])
+            dx = poses[q, 0] - poses[p, 0]
+            dy = poses[q, 1] - poses[p, 1]
+            cos = np.cos(poses[p, 2])
+            sin = np.sin(poses[p, 2])
+            x = cos * dx + sin * dy
+            y = cos * dy - sin * dx
+            cos = np.cos(poses[q, 2] - poses[p, 2])
+            sin = np.sin(poses[q, 2] - poses[p, 2])
             for k in range(starts[q], starts[q + 1]):
                 i = int(np.floor((cos * points[k, 0] - sin * points[k, 1] + x - low) / cell))
                 j = int(np.floor((sin * points[k, 0] + cos * points[k, 1] + y - low) / cell))

@@ -39,30 +39,33 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 
 # The covariance of a hop is the local graph's covariance times the first number, plus the squares
 # of these standard deviations, m and rad.
-_HOP_INFLATION, _HOP_POSITION, _HOP_TURN = 6.0, 0.03, math.radians(1.0)
+_HOP_INFLATION = 6.0
+_HOP_POSITION = 0.03
+_HOP_TURN = math.radians(1.0)
 _HOP_KERNEL = 9.0  # scale of the Cauchy kernel of the hops, as a chi-square
 # Successive factors of both kernels, from the chain of hops on; the last two from a solution that
 # is nearly right.
 _ANNEALING = 1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0
-_ITERATIONS, _TOLERANCE = (
-    8,
-    1e-3,
-)  # for each factor: at most, and the step (m, rad) below which they stop
+# for each factor: at most, and the step (m, rad) below which they stop
+_ITERATIONS = 8
+_TOLERANCE = 1e-3
 KEPT_WEIGHT = 0.3
 """Loops with a lower weight are not used further."""
 _GATE = (
     2.5  # m: chunks within this distance show the same place, however well their poses are known
 )
-_LEAST_WINDOW, _LEAST_TURN = (
-    0.6,
-    math.radians(8.0),
-)  # the part that does not depend on the uncertainty, m and rad
+# the part that does not depend on the uncertainty, m and rad
+_LEAST_WINDOW = 0.6
+_LEAST_TURN = math.radians(8.0)
 TURN_STEP = math.radians(3.0)
 """Step of the turns of a match, rad."""
 # How far from its believed pose a chunk is searched for: standard deviations that are added to the
 # gate and to the window; the largest distance between two chunks, m; and the largest window, m and
 # rad.
-_SIGMAS, _MOST_DISTANCE, _MOST_SHIFT, _MOST_TURN = 2.5, 12.0, 4.0, math.radians(35.0)
+_SIGMAS = 2.5
+_MOST_DISTANCE = 12.0
+_MOST_SHIFT = 4.0
+_MOST_TURN = math.radians(35.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
@@ -146,7 +149,8 @@ def carry_over(
     """Move all key poses with the chunks; between chunks, interpolate the corrections by the
     distance driven.
     """
-    old, travel = trajectory.poses, keys.key_travel
+    old = trajectory.poses
+    travel = keys.key_travel
     numbers = np.arange(len(keys))
     before = np.clip(np.searchsorted(middles, numbers, side="right") - 1, 0, len(middles) - 1)
     after = np.minimum(before + 1, len(middles) - 1)
@@ -167,7 +171,8 @@ def _equations(
     """The normal equations with kernels that are wider by a factor, and the weights of the
     loops.
     """
-    equations, first = NormalEquations(3 * len(poses)), np.arange(len(poses) - 1)
+    equations = NormalEquations(3 * len(poses))
+    first = np.arange(len(poses) - 1)
     certainty = np.asarray(np.linalg.inv(hops.covariances))
     add_relations(
         equations,
@@ -204,8 +209,10 @@ class ChunkGraph:
     """
 
     def __init__(self, chunk: LocalMap, pose: FloatArray) -> None:
-        self.maps, self.poses = [chunk], pose[None]
-        self.hops, self.loops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3))), list[Loop]()
+        self.maps = [chunk]
+        self.poses = pose[None]
+        self.hops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3)))
+        self.loops = list[Loop]()
         self._grids = dict[int, SearchGrid]()
 
     @property
@@ -263,14 +270,17 @@ class ChunkGraph:
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""
         candidates: list[tuple[int, Match]] = []
-        newest, travel = len(self.maps) - 1, np.array([each.travel for each in self.maps])
+        newest = len(self.maps) - 1
+        travel = np.array([each.travel for each in self.maps])
         old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
         guesses = se2.between(self.poses[old], self.poses[newest])
         distance = np.hypot(guesses[:, 0], guesses[:, 1])
         searched = _some_near(distance)
         if not len(searched):
             return []
-        old, guesses, distance = old[searched], guesses[searched], distance[searched]
+        old = old[searched]
+        guesses = guesses[searched]
+        distance = distance[searched]
         position_std, turn_std = self._stds_from(old)
         least, _ = SCORES
         for row in np.nonzero(distance <= _GATE + _SIGMAS * position_std)[0]:
@@ -290,12 +300,14 @@ class ChunkGraph:
         """A loop with the covariance of its match; None if the chunks do not match in the opposite
         direction.
         """
-        back, others = self._grid(second), self.maps[first].points
+        back = self._grid(second)
+        others = self.maps[first].points
         _, least = SCORES
         again = match(back, others, se2.inverse(found.pose), _BACKWARD_WINDOW, least)
         if again.score < least:
             return None
-        grid, points = self._grid(first), self.maps[second].points
+        grid = self._grid(first)
+        points = self.maps[second].points
         mean, covariance = match_covariance(grid, points, found.pose, TURN_STEP, (back, others))
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score)
 
@@ -312,7 +324,8 @@ class ChunkGraph:
 
     def _grid(self, number: int) -> SearchGrid:
         """The search grid of a chunk; the latest ones are kept."""
-        chunk, found = self.maps[number], self._grids.pop(number, None)
+        chunk = self.maps[number]
+        found = self._grids.pop(number, None)
         self._grids[number] = found or search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
         if len(self._grids) > _MOST_SEARCHED:
             del self._grids[next(iter(self._grids))]

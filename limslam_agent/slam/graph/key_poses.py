@@ -19,11 +19,13 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
-KEY_DISTANCE, KEY_TURN = 0.25, math.radians(12.0)
+KEY_DISTANCE = 0.25
+KEY_TURN = math.radians(12.0)
 """A new key pose begins after this distance driven, m, or this turn, rad."""
 
 # m, rad: a beam gives its next point after this motion since its last one
-_POINT_DISTANCE, _POINT_TURN = 0.015, math.radians(1.0)
+_POINT_DISTANCE = 0.015
+_POINT_TURN = math.radians(1.0)
 # Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per
 # square root of a metre driven, and of a radian turned.
 _PER_METRE = 0.05, 0.05, math.radians(2.0)
@@ -156,19 +158,20 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
     count = len(data.time)
     moves = np.zeros((count, 3))
     moves[1:] = se2.between(data.odometry[:-1], data.odometry[1:])
-    length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
+    length = np.hypot(moves[:, 0], moves[:, 1])
+    turn = np.abs(moves[:, 2])
     variances = motion_variances(length, turn)
     variances[data.breaks] = data.break_stds**2
-    way, driven = length + data.apart, float(np.cumsum(length)[-1])
+    way = length + data.apart
+    driven = float(np.cumsum(length)[-1])
     # After a break, a key pose begins, and the beams see something new.
     key = _count_ups(way, turn, KEY_DISTANCE, KEY_TURN)
     first = np.searchsorted(key, np.arange(key[-1] + 1))
-    travel, forward = np.cumsum(way), np.cumsum(moves[:, 0])
+    travel = np.cumsum(way)
+    forward = np.cumsum(moves[:, 0])
     first_of = first[key]
-    offset_rate, step_rate = (
-        _rates(data, first_of, np.arange(count)),
-        _rates(data, first[:-1], first[1:]),
-    )
+    offset_rate = _rates(data, first_of, np.arange(count))
+    step_rate = _rates(data, first[:-1], first[1:])
     points = _spaced(data.hit, way, turn, _POINT_DISTANCE, _POINT_TURN)
     event, beam = np.nonzero(_thinned(points, max(driven, 1.0) * config.points_per_metre))
     direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
@@ -251,7 +254,8 @@ def delayed(data: LogData, delay: float) -> LogData:
     """
     if not delay or not _has_times(data):
         return data
-    time, odometry = np.maximum.accumulate(data.time), data.odometry
+    time = np.maximum.accumulate(data.time)
+    odometry = data.odometry
     nodes, chosen = np.unique(time, return_index=True)
     columns = np.column_stack((odometry[:, :2], np.unwrap(odometry[:, 2])))
     changes = [
@@ -295,7 +299,8 @@ def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> Fl
     """
     turn, scale, gain, _, direction = bias
     half = 0.5 * turn * forward + direction
-    cos, sin = np.cos(half), np.sin(half)
+    cos = np.cos(half)
+    sin = np.sin(half)
     x = (1.0 + scale) * (cos * motion[:, 0] - sin * motion[:, 1])
     y = (1.0 + scale) * (sin * motion[:, 0] + cos * motion[:, 1])
     return np.column_stack((x, y, (1.0 + gain) * motion[:, 2] + turn * forward))
@@ -320,7 +325,8 @@ def joined_bias(first: FloatArray, second: FloatArray) -> FloatArray:
 def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
     """Poses (m, 3) that follow from motions (m - 1, 3) and the first pose ``start`` (3,)."""
     headings = start[2] + np.append(0.0, np.cumsum(steps[:, 2]))
-    cos, sin = np.cos(headings[:-1]), np.sin(headings[:-1])
+    cos = np.cos(headings[:-1])
+    sin = np.sin(headings[:-1])
     x = start[0] + np.append(0.0, np.cumsum(cos * steps[:, 0] - sin * steps[:, 1]))
     y = start[1] + np.append(0.0, np.cumsum(sin * steps[:, 0] + cos * steps[:, 1]))
     return np.column_stack((x, y, se2.wrap_angle(headings)))
@@ -342,7 +348,8 @@ def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
     """Transform points (p, 2) from the frames of poses (p, 3), one pose for each point, into the
     frame of the poses.
     """
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    cos = np.cos(poses[:, 2])
+    sin = np.sin(poses[:, 2])
     x = poses[:, 0] + cos * points[:, 0] - sin * points[:, 1]
     return np.column_stack((x, poses[:, 1] + sin * points[:, 0] + cos * points[:, 1]))
 
@@ -353,7 +360,8 @@ def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
     The difference between odometry and the next key pose is distributed over the path between two
     key poses.
     """
-    poses, key = trajectory.poses, keys.event_key
+    poses = trajectory.poses
+    key = keys.event_key
     ridden = se2.compose(poses[key], event_offsets(keys, trajectory.bias))
     arrival = np.vstack(
         (se2.compose(poses[:-1], calibrated_steps(keys, trajectory.bias)), poses[-1:])

@@ -38,17 +38,24 @@ def relation_factor(
     The error is the estimated relative pose minus the measured relative pose, with a wrapped
     heading.
     """
-    a, b = poses[first], poses[second]
-    cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
-    dx, dy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1]
-    x, y = cos * dx + sin * dy, cos * dy - sin * dx
+    a = poses[first]
+    b = poses[second]
+    cos = np.cos(a[:, 2])
+    sin = np.sin(a[:, 2])
+    dx = b[:, 0] - a[:, 0]
+    dy = b[:, 1] - a[:, 1]
+    x = cos * dx + sin * dy
+    y = cos * dy - sin * dx
     turn = se2.wrap_angle(b[:, 2] - a[:, 2] - measured[:, 2])
     jacobian = np.zeros((len(a), 3, 6))
     jacobian[:, 0, 3] = jacobian[:, 1, 4] = cos
-    jacobian[:, 0, 4], jacobian[:, 1, 3] = sin, -sin
+    jacobian[:, 0, 4] = sin
+    jacobian[:, 1, 3] = -sin
     jacobian[:, :2, :2] = -jacobian[:, :2, 3:5]
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = y, -x
-    jacobian[:, 2, 2], jacobian[:, 2, 5] = -1.0, 1.0
+    jacobian[:, 0, 2] = y
+    jacobian[:, 1, 2] = -x
+    jacobian[:, 2, 2] = -1.0
+    jacobian[:, 2, 5] = 1.0
     return np.column_stack((x - measured[:, 0], y - measured[:, 1], turn)), jacobian
 
 
@@ -63,15 +70,14 @@ def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray,
     by_bias = np.zeros((len(first), 3, ERRORS))
     # The derivative of the calibrated step by the heading bias: half the missing heading rotates
     # the step.
-    by_bias[:, 0, 0], by_bias[:, 1, 0] = (
-        0.5 * keys.step_forward * steps[:, 1],
-        -0.5 * keys.step_forward * steps[:, 0],
-    )
+    by_bias[:, 0, 0] = 0.5 * keys.step_forward * steps[:, 1]
+    by_bias[:, 1, 0] = -0.5 * keys.step_forward * steps[:, 0]
     by_bias[:, 2, 0] = -keys.step_forward
     by_bias[:, :2, 1] = -steps[:, :2] / (1.0 + trajectory.bias[1])
     by_bias[:, 2, 2] = -keys.step[:, 2] - trajectory.bias[3] * keys.step_rate[:, 2]
     by_bias[:, :, 3] = -calibrated_rates(keys, trajectory.bias)
-    by_bias[:, 0, 4], by_bias[:, 1, 4] = steps[:, 1], -steps[:, 0]
+    by_bias[:, 0, 4] = steps[:, 1]
+    by_bias[:, 1, 4] = -steps[:, 0]
     return error, np.concatenate((by_poses, by_bias), axis=2)
 
 
@@ -125,7 +131,8 @@ def link_factor(
     Also their derivatives (l, 6) by both poses. Points, other points and normals (l, 2) are given
     in the world.
     """
-    apart, lever = points - others, others - second[:, :2]
+    apart = points - others
+    lever = others - second[:, :2]
     # A rotation of the second pose moves the point of the line and rotates its normal.
     turned = cross(normals, apart) - cross(lever, normals)
     by_poses = np.column_stack((normals, cross(points - first[:, :2], normals), -normals, turned))
@@ -156,7 +163,8 @@ def add_robust(
         return
     weights = 1.0 / ((1.0 + (errors / (bend * std)) ** 2) * std) ** 2
     order = np.lexsort((columns[:, -1], columns[:, 0]))
-    columns, jacobian = columns[order], jacobian[order]
+    columns = columns[order]
+    jacobian = jacobian[order]
     weighted = weights[order, None] * jacobian
     firsts = np.flatnonzero((np.diff(columns[:, [0, -1]], axis=0, prepend=-1) != 0).any(axis=1))
     hessian = np.add.reduceat(weighted[:, :, None] * jacobian[:, None], firsts)

@@ -63,10 +63,8 @@ def cut_chunks(
         relative = se2.between(
             trajectory.poses[middle], trajectory.poses[keys.point_key[begin:end]]
         )
-        places, starts = (
-            to_world(relative, points[begin:end]),
-            to_world(relative, origins[begin:end]),
-        )
+        places = to_world(relative, points[begin:end])
+        starts = to_world(relative, origins[begin:end])
         grid = draw_grid(places, starts, max_range, config)
         maps.append(
             LocalMap(float(travel[middle]), thinned(places, config.cell), grid, config.cell)
@@ -96,8 +94,10 @@ def _draw(
 ) -> Cells:
     grid = np.zeros((size, size), np.int8)
     for k in range(len(places)):
-        ax, ay = (origins[k, 0] - low) / cell, (origins[k, 1] - low) / cell
-        bx, by = (places[k, 0] - low) / cell, (places[k, 1] - low) / cell
+        ax = (origins[k, 0] - low) / cell
+        ay = (origins[k, 1] - low) / cell
+        bx = (places[k, 0] - low) / cell
+        by = (places[k, 1] - low) / cell
         length = max(abs(bx - ax), abs(by - ay))
         steps = int(length) + 1
         # The last cells before a point may belong to the wall.
@@ -106,16 +106,15 @@ def _draw(
             share = step / steps
             if share > last:
                 break
-            i, j = int(np.floor(ax + (bx - ax) * share)), int(np.floor(ay + (by - ay) * share))
+            i = int(np.floor(ax + (bx - ax) * share))
+            j = int(np.floor(ay + (by - ay) * share))
             if 0 <= i < size and 0 <= j < size:
                 grid[i, j] = -3
     reach = int(np.ceil(radius / cell))
     square = (radius / cell) ** 2 + 1e-9
     for k in range(len(places)):
-        i, j = (
-            int(np.floor((places[k, 0] - low) / cell)),
-            int(np.floor((places[k, 1] - low) / cell)),
-        )
+        i = int(np.floor((places[k, 0] - low) / cell))
+        j = int(np.floor((places[k, 1] - low) / cell))
         for a in range(-reach, reach + 1):
             for b in range(-reach, reach + 1):
                 if a * a + b * b <= square and 0 <= i + a < size and 0 <= j + b < size:

@@ -17,7 +17,8 @@ from limslam_agent.slam.graph.matching import (
 )
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-BEFORE, AFTER = 3.5, 2.0
+BEFORE = 3.5
+AFTER = 2.0
 """Metres of driving that are compared: those before an event with those after it."""
 
 
@@ -35,7 +36,9 @@ class LocalViews:
     """
 
     def __init__(self, data: LogData, config: GraphConfig, window: Window) -> None:
-        self._data, self._maps, self._window = data, config.maps, window
+        self._data = data
+        self._maps = config.maps
+        self._window = window
         self.moves = moves_of(data)
         lengths = np.hypot(self.moves[:, 0], self.moves[:, 1])
         self.driven = np.append(0.0, np.cumsum(lengths))

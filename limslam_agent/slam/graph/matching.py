@@ -22,13 +22,13 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 _BLOCK = 4  # cells along each side of a block of poses
-_VOLUME_CELLS, _VOLUME_TURNS = 10, 5
+_VOLUME_CELLS = 10
+_VOLUME_TURNS = 5
 _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and for turn
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
-_FLOOR_POSITION, _FLOOR_TURN = (
-    0.06,
-    math.radians(1.2),
-)  # least standard deviations of a match, m and rad
+# least standard deviations of a match, m and rad
+_FLOOR_POSITION = 0.06
+_FLOOR_TURN = math.radians(1.2)
 NO_MATCH = -math.inf
 LEAST_POINTS = 20
 """Fewer points are not matched, since they fit nearly anywhere. By ``_SHARPNESS``, a perfect fit of
@@ -163,7 +163,8 @@ def match_covariance(
     mean = weight.ravel() @ offsets
     apart = offsets - mean
     floor = np.diag([_FLOOR_POSITION**2, _FLOOR_POSITION**2, _FLOOR_TURN**2])
-    pose, covariance = pose + mean, (apart * weight.reshape(-1, 1)).T @ apart + floor
+    pose = pose + mean
+    covariance = (apart * weight.reshape(-1, 1)).T @ apart + floor
     along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
     lost = _lost(grid, points, pose, along)
     if backward:
@@ -207,7 +208,8 @@ def _pixels(
     out: IntArray,
 ) -> None:
     """Cells (k, 2) of points at a pose, moved to at least ``edge`` cells from the border."""
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos = np.cos(turn)
+    sin = np.sin(turn)
     for k in range(len(points)):
         i = int(np.floor((cos * points[k, 0] - sin * points[k, 1] + x - low) / cell))
         j = int(np.floor((sin * points[k, 0] + cos * points[k, 1] + y - low) / cell))
@@ -239,7 +241,8 @@ def _sums(
     sums: Sums,
 ) -> None:
     """Compute the sums of the cells at points at all shifts (2 m + 1, 2 m + 1) about a pose."""
-    cells, size = len(sums) // 2, len(padded)
+    cells = len(sums) // 2
+    size = len(padded)
     pixels = np.empty((len(points), 2), np.int64)
     _pixels(points, x, y, turn, low, cell, cells, size, pixels)
     sums[:] = 0
@@ -263,11 +266,16 @@ def _best(
     """Score, turn in steps and shifts in cells of the best pose of a window; ``least`` if no score
     is above it.
     """
-    best, best_turn, best_x, best_y = least, 0, 0, 0
-    by_shift, by_turn = _PRIOR / (margin * margin + 1.0), _PRIOR / (turns * turns + 1.0)
+    best = least
+    best_turn = 0
+    best_x = 0
+    best_y = 0
+    by_shift = _PRIOR / (margin * margin + 1.0)
+    by_turn = _PRIOR / (turns * turns + 1.0)
     block = len(largest)
     count = (2 * margin + block) // block
-    bounds, pixels = np.empty((count, count), np.int16), np.empty((len(points), 2), np.int64)
+    bounds = np.empty((count, count), np.int16)
+    pixels = np.empty((len(points), 2), np.int64)
     for turn in range(-turns, turns + 1):
         _pixels(
             points,
@@ -297,7 +305,10 @@ def _best(
                     )
                     score = total / (5.0 * len(points)) - penalty
                     if score > best:
-                        best, best_turn, best_x, best_y = score, turn, x - margin, y - margin
+                        best = score
+                        best_turn = turn
+                        best_x = x - margin
+                        best_y = y - margin
     return best, best_turn, best_x, best_y
 
 
@@ -338,11 +349,14 @@ def _profile(
 
     Both have the shape (2 cells + 1,), from the shift by ``-cells`` cells on.
     """
-    sums, known = np.zeros(2 * cells + 1), np.zeros(2 * cells + 1)
-    pixels, size = np.empty((len(points), 2), np.int64), padded.shape[0]
+    sums = np.zeros(2 * cells + 1)
+    known = np.zeros(2 * cells + 1)
+    pixels = np.empty((len(points), 2), np.int64)
+    size = padded.shape[0]
     for t in range(2 * cells + 1):
         shift = cell * (t - cells)
-        x, y = pose[0] + shift * direction[0], pose[1] + shift * direction[1]
+        x = pose[0] + shift * direction[0]
+        y = pose[1] + shift * direction[1]
         _pixels(points, x, y, pose[2], low, cell, 0, size, pixels)
         for k in range(len(points)):
             value = padded[pixels[k, 0], pixels[k, 1]]

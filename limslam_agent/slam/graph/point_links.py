@@ -26,8 +26,13 @@ _ROW = 1 << 24
 # It is reliable with at least so many neighbours, this standard deviation along the line, at most
 # this one across, m, this ratio of the two variances, and at least this sine of the angle between
 # beam and wall.
-_NORMAL_RADIUS, _NORMAL_TRAVEL = 0.4, 3.0
-_MIN_NEIGHBOURS, _MIN_SPREAD, _MAX_THICKNESS, _MAX_RATIO, _MIN_INCIDENCE = 5, 0.07, 0.05, 0.15, 0.17
+_NORMAL_RADIUS = 0.4
+_NORMAL_TRAVEL = 3.0
+_MIN_NEIGHBOURS = 5
+_MIN_SPREAD = 0.07
+_MAX_THICKNESS = 0.05
+_MAX_RATIO = 0.15
+_MIN_INCIDENCE = 0.17
 _RADIUS = 0.35  # m, within which points are linked
 _BANDS = (
     0.4,
@@ -57,7 +62,8 @@ def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> Poi
     """Transform all points into the world frame and compute their normals."""
     in_key, origin_in_key = points_in_keys(keys, trajectory.bias)
     pose = trajectory.poses[keys.point_key]
-    places, origins = to_world(pose, in_key), to_world(pose, origin_in_key)
+    places = to_world(pose, in_key)
+    origins = to_world(pose, origin_in_key)
     normals, good = find_normals(places, origins, keys.point_travel, range_std)
     return PointCloud(keys.point_key, keys.point_travel, places, normals, good)
 
@@ -126,7 +132,8 @@ def _span(
     """First and last (excluded) index in ``order`` of a cell's points that were seen between two
     distances driven.
     """
-    begin, end = int(np.searchsorted(cells, cell)), int(np.searchsorted(cells, cell + 1))
+    begin = int(np.searchsorted(cells, cell))
+    end = int(np.searchsorted(cells, cell + 1))
     while begin < end and travel[order[begin]] < low:
         begin += 1
     stop = begin
@@ -148,33 +155,51 @@ def _normals(
     limits: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     count = len(places)
-    normals, good = np.zeros((count, 2)), np.zeros(count, np.bool_)
+    normals = np.zeros((count, 2))
+    good = np.zeros(count, np.bool_)
     per_metre = (radius / reach) ** 2
     for i in range(count):
-        x, y, s = places[i, 0], places[i, 1], travel[i]
-        column, row = int(np.floor(x / side)), int(np.floor(y / side))
+        x = places[i, 0]
+        y = places[i, 1]
+        s = travel[i]
+        column = int(np.floor(x / side))
+        row = int(np.floor(y / side))
         n = sx = sy = sxx = syy = sxy = 0.0
         for a in range(column - 1, column + 2):
             for b in range(row - 1, row + 2):
                 begin, end = _span(cells, order, travel, a * (1 << 24) + b, s - reach, s + reach)
                 for place in range(begin, end):
                     j = order[place]
-                    dx, dy, ds = places[j, 0] - x, places[j, 1] - y, travel[j] - s
+                    dx = places[j, 0] - x
+                    dy = places[j, 1] - y
+                    ds = travel[j] - s
                     if dx * dx + dy * dy + per_metre * ds * ds <= radius * radius:
                         n += 1.0
-                        sx, sy = sx + dx, sy + dy
-                        sxx, syy, sxy = sxx + dx * dx, syy + dy * dy, sxy + dx * dy
-        sx, sy = sx / n, sy / n
-        sxx, syy, sxy = sxx / n - sx * sx, syy / n - sy * sy, sxy / n - sx * sy
-        middle, half = 0.5 * (sxx + syy), 0.5 * np.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy)
+                        sx = sx + dx
+                        sy = sy + dy
+                        sxx = sxx + dx * dx
+                        syy = syy + dy * dy
+                        sxy = sxy + dx * dy
+        sx = sx / n
+        sy = sy / n
+        sxx = sxx / n - sx * sx
+        syy = syy / n - sy * sy
+        sxy = sxy / n - sx * sy
+        middle = 0.5 * (sxx + syy)
+        half = 0.5 * np.sqrt((sxx - syy) ** 2 + 4.0 * sxy * sxy)
         angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
-        nx, ny = -np.sin(angle), np.cos(angle)
-        ox, oy = origins[i, 0] - x, origins[i, 1] - y
+        nx = -np.sin(angle)
+        ny = np.cos(angle)
+        ox = origins[i, 0] - x
+        oy = origins[i, 1] - y
         towards = ox * nx + oy * ny
         if towards < 0.0:
-            nx, ny = -nx, -ny
-        normals[i, 0], normals[i, 1] = nx, ny
-        wide, thin = middle + half, middle - half
+            nx = -nx
+            ny = -ny
+        normals[i, 0] = nx
+        normals[i, 1] = ny
+        wide = middle + half
+        thin = middle - half
         straight = wide > limits[1] and thin < limits[2] and thin < limits[3] * wide
         good[i] = (
             n >= limits[0]
@@ -207,15 +232,21 @@ def _nearest(
     limits: FloatArray,
 ) -> IntArray:
     bands = len(borders) - 1
-    radius, reach = limits[0], borders[bands]
+    radius = limits[0]
+    reach = borders[bands]
     per_metre = (radius / reach) ** 2
-    links, count = np.empty((len(places) * bands, 2), np.int64), 0
-    best, nearest = np.empty(bands, np.int64), np.empty(bands)
+    links = np.empty((len(places) * bands, 2), np.int64)
+    count = 0
+    best = np.empty(bands, np.int64)
+    nearest = np.empty(bands)
     for i in np.nonzero(good)[0]:
-        x, y, s = places[i, 0], places[i, 1], travel[i]
+        x = places[i, 0]
+        y = places[i, 1]
+        s = travel[i]
         best[:] = -1
         nearest[:] = radius * radius
-        column, row = int(np.floor(x / side)), int(np.floor(y / side))
+        column = int(np.floor(x / side))
+        row = int(np.floor(y / side))
         for a in range(column - 1, column + 2):
             for b in range(row - 1, row + 2):
                 begin, end = _span(cells, order, travel, a * (1 << 24) + b, s - reach, s + reach)
@@ -224,7 +255,8 @@ def _nearest(
                     gap = abs(travel[j] - s)
                     if not good[j] or gap < borders[0] or key[j] == key[i]:
                         continue
-                    dx, dy = x - places[j, 0], y - places[j, 1]
+                    dx = x - places[j, 0]
+                    dy = y - places[j, 1]
                     square = dx * dx + dy * dy + per_metre * gap * gap
                     band = _band(gap, borders)
                     if square >= nearest[band]:
@@ -234,9 +266,11 @@ def _nearest(
                         cosine > limits[1]
                         and abs(dx * normals[j, 0] + dy * normals[j, 1]) < limits[2]
                     ):
-                        best[band], nearest[band] = j, square
+                        best[band] = j
+                        nearest[band] = square
         for band in range(bands):
             if best[band] >= 0:
-                links[count, 0], links[count, 1] = i, best[band]
+                links[count, 0] = i
+                links[count, 1] = best[band]
                 count += 1
     return links[:count].copy()

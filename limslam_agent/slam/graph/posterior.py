@@ -19,7 +19,8 @@ from limslam_env.geometry import FloatArray
 # Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies
 # between two windows, and between two poses that are judged, unless there would be more than so
 # many.
-_WINDOW, _MOST = 14.0, 60
+_WINDOW = 14.0
+_MOST = 60
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
@@ -72,7 +73,8 @@ def rigid_motions(positions: FloatArray) -> FloatArray:
     centred = positions - positions.mean(axis=0)
     rigid = np.zeros((2 * len(positions), 3))
     rigid[0::2, 0] = rigid[1::2, 1] = 1.0
-    rigid[0::2, 2], rigid[1::2, 2] = -centred[:, 1], centred[:, 0]
+    rigid[0::2, 2] = -centred[:, 1]
+    rigid[1::2, 2] = centred[:, 0]
     basis, _ = np.linalg.qr(rigid)
     return np.asarray(basis)
 
@@ -97,7 +99,8 @@ def odometry_ratios(
         (pose_columns(first), pose_columns(first + 1), np.tile(biases, (len(first), 1)))
     )
     sums = np.zeros((len(begins), 3, equations.size))
-    squares, assumed = np.zeros((len(begins), 3)), np.zeros((len(begins), 3))
+    squares = np.zeros((len(begins), 3))
+    assumed = np.zeros((len(begins), 3))
     for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         squares[window] = errors[begin:end].sum(axis=0) ** 2
         assumed[window] = keys.step_variances[begin:end].sum(axis=0)

@@ -36,7 +36,8 @@ _BEYOND = 1.0  # m of driving after a short stretch that are compared with it
 _WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
 # A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this
 # for each metre, since in a corridor both directions fit.
-_LEAD, _LEAD_PER_METRE = 0.12, 0.06
+_LEAD = 0.12
+_LEAD_PER_METRE = 0.06
 
 
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
@@ -54,10 +55,12 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     if sum(_is_proof(each, config) for each in judged) < config.reversing.fewest:
         return data
     begins, ends = views.travel[stretches.T]
-    leads, turned = np.array([lead for lead, _ in judged]), np.zeros(len(judged), dtype=np.bool_)
+    leads = np.array([lead for lead, _ in judged])
+    turned = np.zeros(len(judged), dtype=np.bool_)
     while leads.max(initial=0.0) > 0.0:
         best = leads.argmax()
-        leads[best], turned[best] = NO_MATCH, True
+        leads[best] = NO_MATCH
+        turned[best] = True
         _turn_round(views, *stretches[best])
         # The stretches whose comparison uses this stretch are judged again.
         near = (
@@ -107,7 +110,8 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     """
     before, after = (moves_of(each)[:, 0] for each in (data, directed))
     moved = np.abs(before) > STANDING
-    before, after = before[moved], after[moved]
+    before = before[moved]
+    after = after[moved]
     backwards = (after < 0.0) & (before > 0.0)
     begins = backwards & ~np.append(False, backwards[:-1])
     return float(before[backwards].sum()), int(begins.sum())
@@ -118,7 +122,8 @@ def _judged(views: LocalViews, begin: int, end: int) -> tuple[float, float]:
 
     Also the share of its points that would lie in free space if it was driven ahead.
     """
-    known, length = views.known(begin), float(views.travel[end] - views.travel[begin])
+    known = views.known(begin)
+    length = float(views.travel[end] - views.travel[begin])
     if known is None:
         return NO_MATCH, 0.0
     moves = views.next_moves(begin, length + _BEYOND)
@@ -152,6 +157,7 @@ def _speeds(time: FloatArray, travel: FloatArray) -> FloatArray:
     Odometry that is read twice at nearly the same time, for itself and with a scan, has not stopped
     in between.
     """
-    middles, half = 0.5 * (time[1:] + time[:-1]), 0.5 * np.maximum(np.diff(time), _LEAST_PERIOD)
+    middles = 0.5 * (time[1:] + time[:-1])
+    half = 0.5 * np.maximum(np.diff(time), _LEAST_PERIOD)
     ends = np.interp(middles + half, time, travel)
     return np.asarray((ends - np.interp(middles - half, time, travel)) / (2.0 * half))

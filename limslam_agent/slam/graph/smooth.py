@@ -48,7 +48,8 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 
 # How often the delay of the ranges is estimated and corrected before the search. A correction of
 # less, s, is the last.
-_SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
+_SYNCHRONISATIONS = 3
+_SYNCHRONOUS = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +107,8 @@ def rounds(
     """
     report("local smoothing")
     data, keys, local, known = _synchronised(data, config)
-    problem, trajectory = LogProblem(keys, local, data, config), local
+    problem = LogProblem(keys, local, data, config)
+    trajectory = local
     has_loops = (
         len(keys.point_key) > 0 and len(chunk_middles(keys, config.maps, config.maps.hop)) > 1
     )
@@ -114,7 +116,8 @@ def rounds(
         if has_loops:
             found = smooth_with_loops(problem, trajectory, report)
         else:
-            kind, none = "local" if len(keys.point_key) else "odometry", np.zeros(1, dtype=np.int64)
+            kind = "local" if len(keys.point_key) else "odometry"
+            none = np.zeros(1, dtype=np.int64)
             found = GraphResult(kind, keys, local, local.bias, [], none)
         trajectory = found.trajectory
         placed = trajectory.moved(np.asarray(start, dtype=float))
@@ -132,9 +135,11 @@ def _synchronised(
     The motions between key poses are linear in the delay for short delays only, so the delay is
     estimated repeatedly.
     """
-    known, delay = np.zeros(ERRORS), 0.0
+    known = np.zeros(ERRORS)
+    delay = 0.0
     for _ in range(_SYNCHRONISATIONS):
-        data, known = delayed(data, delay), known + np.array([0.0, 0.0, 0.0, delay, 0.0])
+        data = delayed(data, delay)
+        known = known + np.array([0.0, 0.0, 0.0, delay, 0.0])
         keys = choose_keys(data, config.keys)
         local = odometry_trajectory(keys, np.zeros(3))
         if len(keys) > 1 and len(keys.point_key):
@@ -157,7 +162,9 @@ class LogProblem:
 
 def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
     """Find the loops between chunks that are cut from a trajectory, and solve for all key poses."""
-    keys, data, config = problem.keys, problem.data, problem.config
+    keys = problem.keys
+    data = problem.data
+    config = problem.config
     report("search for loops")
     middles = chunk_middles(keys, config.maps, config.maps.hop)
     poses = trajectory.poses[middles]

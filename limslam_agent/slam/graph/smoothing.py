@@ -25,14 +25,15 @@ from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_LINK_STD, _LINE_STD = 0.08, 0.12  # m, beside the noise of a range
+# m, beside the noise of a range
+_LINK_STD = 0.08
+_LINE_STD = 0.12
 # of the standard deviations of links, where more than the local trajectory follows from them
 _INFLATION = 1.5
 _BUNDLE_ITERATIONS = 6
-_RADIUS, _LAST_RADIUS = (
-    0.4,
-    0.2,
-)  # m, within which points of different visits are linked, at first and at last
+# m, within which points of different visits are linked, at first and at last
+_RADIUS = 0.4
+_LAST_RADIUS = 0.2
 _FIRST_WINDOW = 4.0  # m, in which walls are found in the first iteration with walls
 
 
@@ -44,7 +45,8 @@ def smooth_locally(
     Without walls, the headings drift. With walls from the start, the estimated bias of odometry is
     wrong. Tolerances shrink in both parts.
     """
-    counts, walls = config.smoothing, config.lines
+    counts = config.smoothing
+    walls = config.lines
     for number in range(counts.link_iterations):
         widening = max(1.0, 2.0 * 0.7**number)
         trajectory = _chained(
@@ -54,10 +56,8 @@ def smooth_locally(
     last = max(1, counts.line_iterations - 3)
     for number in range(counts.line_iterations):
         progress = min(1.0, number / last)
-        window, widening = (
-            _FIRST_WINDOW + (walls.window - _FIRST_WINDOW) * progress,
-            1.8 - 0.8 * progress,
-        )
+        window = _FIRST_WINDOW + (walls.window - _FIRST_WINDOW) * progress
+        widening = 1.8 - 0.8 * progress
         near = replace(
             config, lines=replace(walls, window=window, tolerance=widening * walls.tolerance)
         )
@@ -129,7 +129,8 @@ def motion_covariances(
     """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses
     (m, 3).
     """
-    first, second = numbers[:-1], numbers[1:]
+    first = numbers[:-1]
+    second = numbers[1:]
     _, jacobian = relation_factor(poses, first, second, np.zeros((len(first), 3)))
     return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
 
@@ -151,7 +152,8 @@ def _equations(
     The factors are those of the standard deviations of points about links and walls. ``radius`` is
     that of links between visits, m.
     """
-    cloud, poses = point_cloud(keys, trajectory, range_std), trajectory.poses
+    cloud = point_cloud(keys, trajectory, range_std)
+    poses = trajectory.poses
     lines = find_lines(cloud, config.lines) if wall_factor else None
     equations = NormalEquations(3 * len(keys) + ERRORS + (2 * len(lines.angles) if lines else 0))
     add_odometry(equations, keys, trajectory, config.motion)

@@ -41,7 +41,8 @@ class WallLines:
 
 def find_lines(cloud: PointCloud, config: WallLineConfig) -> WallLines:
     """Lines of the points of all windows of driving."""
-    end, window = cloud.travel[-1] if len(cloud.travel) else 0.0, config.window
+    end = cloud.travel[-1] if len(cloud.travel) else 0.0
+    window = config.window
     begins = np.arange(0.0, max(end - 0.5 * window, 1e-3), 0.5 * window)
     spans = np.searchsorted(cloud.travel, np.column_stack((begins, begins + window)))
     return lines_in(cloud.places, cloud.normals, cloud.good, spans, config)
@@ -58,7 +59,11 @@ def lines_in(
     point (excluded).
     """
     none = np.zeros(0, dtype=np.int64)
-    angles, centres, points, owners, count = [np.zeros(0)], [no_rows(2)], [none], [none], 0
+    angles = [np.zeros(0)]
+    centres = [no_rows(2)]
+    points = [none]
+    owners = [none]
+    count = 0
     for begin, end in spans.tolist():
         label, turns = _window(places[begin:end], normals[begin:end], good[begin:end], config)
         members = np.flatnonzero(label >= 0)
@@ -90,7 +95,10 @@ def _window(
     Only points whose own normal is reliable vote. A line has those of them whose normals are close
     to its own, and the points without a reliable normal between its ends.
     """
-    label, found, reach, count = np.full(len(places), -1), [no_rows(2)], [no_rows(2)], 0
+    label = np.full(len(places), -1)
+    found = [no_rows(2)]
+    reach = [no_rows(2)]
+    count = 0
     while True:
         voters = np.flatnonzero(good & (label < 0))
         owner, lines, ends = extract_lines(
@@ -103,7 +111,8 @@ def _window(
             config.min_length,
             only_best=False,
         )
-        voters, owner = voters[owner >= 0], owner[owner >= 0]
+        voters = voters[owner >= 0]
+        owner = owner[owner >= 0]
         cosines = np.sum(normals[voters] * normal(lines)[owner], axis=1)
         sides = np.sign(np.bincount(owner, cosines, len(lines)))
         fits = cosines * sides[owner] > MIN_COSINE
@@ -123,7 +132,8 @@ def _window(
         count += int(enough.sum())
     every, (low, high) = np.concatenate(found), np.concatenate(reach).T
     rest = np.flatnonzero(~good)
-    off, along = places[rest] @ normal(every).T - every[:, 0], places[rest] @ direction(every).T
+    off = places[rest] @ normal(every).T - every[:, 0]
+    along = places[rest] @ direction(every).T
     is_on = (np.abs(off) < config.tolerance) & (low < along) & (along < high)
     if count:
         label[rest] = np.where(is_on.any(axis=1), is_on.argmax(axis=1), -1)
@@ -138,7 +148,8 @@ def add_lines(
 
     ``std`` (m) is the standard deviation of a point about its line, and the scale of the kernel.
     """
-    key, own = cloud.key[lines.points], lines.lines
+    key = cloud.key[lines.points]
+    own = lines.lines
     errors, jacobian = line_factor(
         poses[key], cloud.places[lines.points], lines.angles[own], lines.centres[own]
     )
@@ -159,7 +170,8 @@ def line_factor(
 
     Points and centres of lines (k, 2) are given in the world.
     """
-    normals, off = np.column_stack((np.cos(angles), np.sin(angles))), places - centres
+    normals = np.column_stack((np.cos(angles), np.sin(angles)))
+    off = places - centres
     by_pose = np.column_stack((normals, cross(places - poses[:, :2], normals)))
     return np.sum(normals * off, axis=1), np.column_stack(
         (by_pose, cross(normals, off), -np.ones(len(off)))

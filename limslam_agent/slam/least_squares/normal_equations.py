@@ -86,7 +86,8 @@ class NormalEquations:
 
     def add_blocks(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
         """Add given sums: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
-        width, places = columns.shape[1], self._places[columns]
+        width = columns.shape[1]
+        places = self._places[columns]
         self._values.append(hessian.ravel())
         self._rows.append(np.repeat(places, width, axis=1).ravel())
         self._columns.append(np.tile(places, (1, width)).ravel())
@@ -123,7 +124,8 @@ class NormalEquations:
         # A few at a time, since each needs dense columns of all unknowns.
         for begin in range(0, count, _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
-            above, by = columns[part, :, None], jacobian[part]
+            above = columns[part, :, None]
+            by = jacobian[part]
             places = np.arange(len(by) * height).reshape(-1, 1, height)
             right = np.zeros((self.size, places.size))
             right[above, places] = by.transpose(0, 2, 1)
@@ -145,14 +147,13 @@ class NormalEquations:
         they are fixed.
         """
         matrix = self._matrix()
-        scale, draws = (
-            np.sqrt(matrix.diagonal()),
-            np.random.default_rng(0).uniform(0.5, 1.0, matrix.nnz),
-        )
+        scale = np.sqrt(matrix.diagonal())
+        draws = np.random.default_rng(0).uniform(0.5, 1.0, matrix.nnz)
         column = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
         matrix.data += _NEVER_ZERO * draws * scale[matrix.indices] * scale[column]
         factors = _factors(matrix, "NATURAL")
-        lower, pivots = csc_matrix(factors.L), factors.U.diagonal()
+        lower = csc_matrix(factors.L)
+        pivots = factors.U.diagonal()
         lower.sort_indices()
         values = np.empty(lower.nnz)
         _selected_inverse(
@@ -165,7 +166,8 @@ class NormalEquations:
         inverse = csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
         places = self._places[columns]
         is_free = (places < len(pivots)).all(axis=1)
-        above, below = places[is_free, :, None], places[is_free, None, :]
+        above = places[is_free, :, None]
+        below = places[is_free, None, :]
         found = np.zeros((*places.shape, places.shape[1]))
         entries = inverse[np.maximum(above, below).ravel(), np.minimum(above, below).ravel()]
         found[is_free] = np.asarray(entries).reshape(above.shape[0], *found.shape[1:])
@@ -173,13 +175,15 @@ class NormalEquations:
 
     def _matrix(self) -> csc_matrix:
         """The matrix of the unknowns that are not fixed."""
-        places, count = (np.concatenate(self._rows), np.concatenate(self._columns)), len(self._free)
+        places = (np.concatenate(self._rows), np.concatenate(self._columns))
+        count = len(self._free)
         whole = coo_matrix((np.concatenate(self._values), places), shape=(self.size, self.size))
         # Sorting by rows and then by columns is faster than the sum of scipy, which sorts each
         # column by comparisons.
         whole.has_canonical_format = True
         matrix = whole.tocsr().tocsc()
-        matrix.has_sorted_indices, matrix.has_canonical_format = True, False
+        matrix.has_sorted_indices = True
+        matrix.has_canonical_format = False
         matrix.sum_duplicates()
         return matrix[:count, :count]
 
@@ -213,11 +217,14 @@ def _selected_inverse(
     inverse
         Output array (e,).
     """
-    own, total = np.zeros(len(pivots)), np.zeros(len(pivots))
+    own = np.zeros(len(pivots))
+    total = np.zeros(len(pivots))
     for column in range(len(pivots) - 1, -1, -1):
-        begin, end = firsts[column] + 1, firsts[column + 1]
+        begin = firsts[column] + 1
+        end = firsts[column + 1]
         for entry in range(begin, end):
-            own[rows[entry]], total[rows[entry]] = lower[entry], 0.0
+            own[rows[entry]] = lower[entry]
+            total[rows[entry]] = 0.0
         for entry in range(begin, end):
             other = rows[entry]
             total[other] += inverse[firsts[other]] * own[other]

@@ -48,10 +48,12 @@ def best_lines(
         The line (k,), and the misfits of the reading to the best and the second line (k, 2), m,
         infinite without one.
     """
-    best, misfits = np.zeros(len(places), dtype=np.int64), np.full((len(places), 2), np.inf)
+    best = np.zeros(len(places), dtype=np.int64)
+    misfits = np.full((len(places), 2), np.inf)
     if not len(state.lines):
         return best, misfits
-    low, high = ends[..., 0] - beyond, ends[..., 1] + beyond
+    low = ends[..., 0] - beyond
+    high = ends[..., 1] + beyond
     for part, cosines, reached, along in _meetings(state, places, beams, width):
         faces_beam = cosines < 0.0
         is_near = along >= np.where(faces_beam, low[:, POSITIVE], low[:, NEGATIVE])
@@ -59,7 +61,8 @@ def best_lines(
         off = np.where(is_near, np.abs(reached - distances[part, None]), np.inf)
         rows = np.arange(len(off))
         best[part] = off.argmin(axis=1)
-        misfits[part, 0], off[rows, best[part]] = off[rows, best[part]], np.inf
+        misfits[part, 0] = off[rows, best[part]]
+        off[rows, best[part]] = np.inf
         misfits[part, 1] = off.min(axis=1)
     return best, misfits
 
@@ -92,10 +95,13 @@ def count_crossings(
         First bin (m,) of each line, and the number of beams that ended in each bin (m, b), 0 beyond
         a line's last bin.
     """
-    misses, is_wall = np.zeros_like(hits), np.zeros(hits.shape, dtype=bool)
-    before, after = hits[:, :-4] + hits[:, 1:-3], hits[:, 3:-1] + hits[:, 4:]
+    misses = np.zeros_like(hits)
+    is_wall = np.zeros(hits.shape, dtype=bool)
+    before = hits[:, :-4] + hits[:, 1:-3]
+    after = hits[:, 3:-1] + hits[:, 4:]
     is_wall[:, 2:-2] = (hits[:, 2:-2] > 0) & (before > 0) & (after > 0)
-    passed, crossed = [np.zeros(0, dtype=np.intp)], [np.zeros((2, 0), dtype=np.int64)]
+    passed = [np.zeros(0, dtype=np.intp)]
+    crossed = [np.zeros((2, 0), dtype=np.int64)]
     for part, cosines, reached, along in _meetings(state, places, beams, 0.0):
         bins = np.floor(along / BIN).astype(np.int64) - low
         is_crossed = (reached + margin / np.abs(cosines) < distances[part, None]) & (bins >= 0)
@@ -104,7 +110,8 @@ def count_crossings(
         crossed.append(np.stack((line, bins[beam, line])))
     line, place = np.concatenate(crossed, axis=1)
     np.add.at(misses, (line, place), 1)
-    against, shares = np.zeros(len(places)), np.minimum(hits / np.maximum(misses, 1), 1.0)
+    against = np.zeros(len(places))
+    shares = np.minimum(hits / np.maximum(misses, 1), 1.0)
     np.maximum.at(against, np.concatenate(passed), (is_wall * shares)[line, place])
     return misses, against
 
@@ -119,11 +126,10 @@ def _meetings(
     Beams with half an opening angle ``width``, rad, meet a line at its nearest point inside of
     them.
     """
-    across, tangents = normal(state.lines), direction(state.lines)
-    height, middle = (
-        state.lines[:, 0] + (across * state.anchors).sum(axis=1),
-        (tangents * state.anchors).sum(axis=1),
-    )
+    across = normal(state.lines)
+    tangents = direction(state.lines)
+    height = state.lines[:, 0] + (across * state.anchors).sum(axis=1)
+    middle = (tangents * state.anchors).sum(axis=1)
     for first in range(0, len(places), _AT_ONCE):
         part = slice(first, first + _AT_ONCE)
         origins, ahead = rays(state.flat_poses[places[part]], beams[part])

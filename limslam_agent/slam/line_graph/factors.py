@@ -24,7 +24,9 @@ def drive(start: FloatArray, motions: FloatArray, axle: float) -> FloatArray:
     chord = 0.5 * (motions[:, 0] + motions[:, 1]) / _arc_over_chord(half)
     headings = start[2] + np.append(0.0, np.cumsum(2.0 * half))
     middle = headings[:-1] + half
-    cos, sin, aside = np.cos(middle), np.sin(middle), motions[:, 2]
+    cos = np.cos(middle)
+    sin = np.sin(middle)
+    aside = motions[:, 2]
     x = start[0] + np.append(0.0, np.cumsum(chord * cos - aside * sin))
     y = start[1] + np.append(0.0, np.cumsum(chord * sin + aside * cos))
     return np.column_stack((x, y, headings))
@@ -42,14 +44,19 @@ def motion_jacobians(poses: FloatArray, axle: float) -> FloatArray:
     pose after it.
     """
     half, ahead, aside, middle = _chords(poses)
-    cos, sin, longer = np.cos(middle), np.sin(middle), _arc_over_chord(half)
-    turned, stretched = 0.5 * longer * aside, 0.5 * ahead * _arc_over_chord_derivative(half)
+    cos = np.cos(middle)
+    sin = np.sin(middle)
+    longer = _arc_over_chord(half)
+    turned = 0.5 * longer * aside
+    stretched = 0.5 * ahead * _arc_over_chord_derivative(half)
     found = np.empty((len(half), 3, 6))
     for row, lever in enumerate((-0.5 * axle, 0.5 * axle)):
-        found[:, row, 3], found[:, row, 4] = longer * cos, longer * sin
+        found[:, row, 3] = longer * cos
+        found[:, row, 4] = longer * sin
         found[:, row, 5] = turned + stretched + lever
         found[:, row, 2] = turned - stretched - lever
-    found[:, 2, 3], found[:, 2, 4] = -sin, cos
+    found[:, 2, 3] = -sin
+    found[:, 2, 4] = cos
     found[:, 2, 5] = found[:, 2, 2] = -0.5 * ahead
     found[:, :, :2] = -found[:, :, 3:5]
     return found
@@ -61,8 +68,10 @@ def _chords(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Floa
     """
     half = 0.5 * np.diff(poses[:, 2])
     middle = poses[:-1, 2] + half
-    cos, sin = np.cos(middle), np.sin(middle)
-    x, y = np.diff(poses[:, 0]), np.diff(poses[:, 1])
+    cos = np.cos(middle)
+    sin = np.sin(middle)
+    x = np.diff(poses[:, 0])
+    y = np.diff(poses[:, 1])
     return half, cos * x + sin * y, cos * y - sin * x, middle
 
 
@@ -72,7 +81,8 @@ def _arc_over_chord(half: FloatArray) -> FloatArray:
 
 
 def _arc_over_chord_derivative(half: FloatArray) -> FloatArray:
-    is_small, sin = np.abs(half) < _SMALL_TURN, np.sin(half)
+    is_small = np.abs(half) < _SMALL_TURN
+    sin = np.sin(half)
     return np.where(
         is_small, half / 3.0, (sin - half * np.cos(half)) / np.where(is_small, 1.0, sin * sin)
     )
@@ -105,14 +115,21 @@ def expected_readings(
 
     ``width`` is half the opening angle of the beams, rad.
     """
-    cos, sin, heading = np.cos(poses[:, 2]), np.sin(poses[:, 2]), poses[:, 2] + beams[:, 2]
-    arm_x, arm_y = cos * beams[:, 0] - sin * beams[:, 1], sin * beams[:, 0] + cos * beams[:, 1]
-    ux, uy, nx, ny = np.cos(heading), np.sin(heading), np.cos(lines[:, 1]), np.sin(lines[:, 1])
+    cos = np.cos(poses[:, 2])
+    sin = np.sin(poses[:, 2])
+    heading = poses[:, 2] + beams[:, 2]
+    arm_x = cos * beams[:, 0] - sin * beams[:, 1]
+    arm_y = sin * beams[:, 0] + cos * beams[:, 1]
+    ux = np.cos(heading)
+    uy = np.sin(heading)
+    nx = np.cos(lines[:, 1])
+    ny = np.sin(lines[:, 1])
     cosine = nx * ux + ny * uy
     # A beam exactly parallel to the line does not meet it. A very large finite distance is used
     # instead.
     divisor = np.where(np.abs(cosine) > LEAST_DIVISOR, cosine, LEAST_DIVISOR)
-    x, y = poses[:, 0] + arm_x - anchors[:, 0], poses[:, 1] + arm_y - anchors[:, 1]
+    x = poses[:, 0] + arm_x - anchors[:, 0]
+    y = poses[:, 1] + arm_y - anchors[:, 1]
     ranges = (lines[:, 0] - nx * x - ny * y) / divisor
     swept = arm_x * ny - arm_y * nx + ranges * (ux * ny - uy * nx)
     by_pose = -np.column_stack((nx, ny, swept)) / divisor[:, None]
@@ -147,8 +164,10 @@ def widened(ideal: Expected, angles: FloatArray, width: float) -> Expected:
     by_slant = np.where(
         border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants)
     )
-    by_angle, share = ideal.ranges * by_slant, np.cos(slants) / np.cos(border)
-    by_pose, by_line = ideal.by_pose * share[:, None], ideal.by_line * share[:, None]
+    by_angle = ideal.ranges * by_slant
+    share = np.cos(slants) / np.cos(border)
+    by_pose = ideal.by_pose * share[:, None]
+    by_line = ideal.by_line * share[:, None]
     by_pose[:, 2] -= by_angle
     by_line[:, 1] += by_angle
     return Expected(ideal.ranges * share, by_pose, by_line, ideal.cosines)
@@ -158,8 +177,11 @@ def rays(poses: FloatArray, beams: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Origins (k, 2), m, and unit vectors (k, 2) of beams (x, y, angle) on the body (k, 3) at poses
     (k, 3).
     """
-    cos, sin, heading = np.cos(poses[:, 2]), np.sin(poses[:, 2]), poses[:, 2] + beams[:, 2]
-    x, y = cos * beams[:, 0] - sin * beams[:, 1], sin * beams[:, 0] + cos * beams[:, 1]
+    cos = np.cos(poses[:, 2])
+    sin = np.sin(poses[:, 2])
+    heading = poses[:, 2] + beams[:, 2]
+    x = cos * beams[:, 0] - sin * beams[:, 1]
+    y = sin * beams[:, 0] + cos * beams[:, 1]
     return poses[:, :2] + np.column_stack((x, y)), np.column_stack(
         (np.cos(heading), np.sin(heading))
     )

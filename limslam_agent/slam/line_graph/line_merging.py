@@ -20,10 +20,12 @@ from limslam_agent.slam.consistent.limits import MIN_OVERLAP, ONE_WALL_GATE, STR
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
-POSITIVE, NEGATIVE = 0, 1
+POSITIVE = 0
+NEGATIVE = 1
 """Sides of a line from which beams hit it. Its normal points to the positive side."""
 
-THINNEST, THICKEST = 0.05, 0.35
+THINNEST = 0.05
+THICKEST = 0.35
 """Thicknesses of walls, m, within which all thicknesses are equally likely."""
 
 PRIOR_LENGTH = 0.05
@@ -50,7 +52,9 @@ ELSEWHERE = 0.1
 proof of a board.
 """
 
-_MAX_OFFSET, _MAX_ANGLE = 0.15, 0.12  # m and rad: two lines that differ by more are not merged
+# m and rad: two lines that differ by more are not merged
+_MAX_OFFSET = 0.15
+_MAX_ANGLE = 0.12
 _MOST_MOVED = (
     0.10,
     0.05,
@@ -134,8 +138,10 @@ class Lines:
         is_parallel = (
             np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= _MAX_ANGLE
         )
-        first, second = first[is_parallel], second[is_parallel]
-        seen, there = self._seen_along(first, second), self.seen[second]
+        first = first[is_parallel]
+        second = second[is_parallel]
+        seen = self._seen_along(first, second)
+        there = self.seen[second]
         middle = self._points(second, ends[second].mean(axis=1))
         offset = (
             np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1)
@@ -144,7 +150,10 @@ class Lines:
         is_near = (np.abs(offset) <= max_offset) & (
             _shared(_ends(seen), ends[second]) >= MIN_OVERLAP
         )
-        first, second, seen, there = first[is_near], second[is_near], seen[is_near], there[is_near]
+        first = first[is_near]
+        second = second[is_near]
+        seen = seen[is_near]
+        there = there[is_near]
         opposite = _shared(seen[:, ::-1], there)
         return Pairs(
             first,
@@ -162,9 +171,11 @@ class Lines:
         sign = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0)
         offset = sign * (one[:, 0] - np.sum(away * normal(one), axis=1)) - other[:, 0]
         jacobian = np.zeros((count, 2, 4))
-        jacobian[:, 0, 0], jacobian[:, 0, 2] = sign, -1.0
+        jacobian[:, 0, 0] = sign
+        jacobian[:, 0, 2] = -1.0
         jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
-        jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, -1.0
+        jacobian[:, 1, 1] = 1.0
+        jacobian[:, 1, 3] = -1.0
         columns = 2 * np.column_stack(
             (pairs.first, pairs.first, pairs.second, pairs.second)
         ) + np.array([0, 1, 0, 1])
@@ -219,7 +230,8 @@ def merge_lines(known: Lines, kinds: tuple[float, float]) -> bool:
     kinds
         The lengths of the known boards and walls, m.
     """
-    begin, has_merged = known.lines.copy(), False
+    begin = known.lines.copy()
+    has_merged = False
     most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()).reshape(-1, 2)
     while True:
         pairs = known.near_pairs()
@@ -242,7 +254,8 @@ def wall_kinds(known: Lines) -> tuple[float, float]:
     """Length of the lines that are boards, and length of the walls with two faces, m."""
     boards = np.maximum(known.seen[..., 1].min(axis=1) - known.seen[..., 0].max(axis=1), 0.0).sum()
     pairs = known.near_pairs(THICKEST)
-    difference, behind = known.differences(pairs), np.zeros(len(known.lines))
+    difference = known.differences(pairs)
+    behind = np.zeros(len(known.lines))
     for k in np.flatnonzero(pairs.opposite > 0.0).tolist():
         if is_wall(*_compared(pairs, difference, k)):
             own = [pairs.first[k], pairs.second[k]]

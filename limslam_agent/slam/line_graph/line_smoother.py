@@ -23,10 +23,9 @@ from limslam_agent.slam.line_graph.problem import Problem, State, expected, move
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations
-_MOST_HALVINGS, _CHOOSING = (
-    6,
-    2,
-)  # of a step; iterations after which the set of grazing readings is fixed
+# of a step; iterations after which the set of grazing readings is fixed
+_MOST_HALVINGS = 6
+_CHOOSING = 2
 _CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
 _BLOCK = 150  # poses of a block, about
 
@@ -155,7 +154,8 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
     sharing = np.bincount(labels + 1)[labels + 1]
-    graph, weights = _Graph(problem, labels, unknowns), np.zeros(len(labels))
+    graph = _Graph(problem, labels, unknowns)
+    weights = np.zeros(len(labels))
     for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
@@ -211,10 +211,13 @@ def where_read(problem: Problem, state: State, labels: IntArray) -> State:
     """The state with each pose moved within its jitter to where its readings, of lines (k,), are
     likeliest from.
     """
-    readings, jitters = expected(problem, state, labels), problem.jitters(state).reshape(-1, 3, 3)
+    readings = expected(problem, state, labels)
+    jitters = problem.jitters(state).reshape(-1, 3, 3)
     weights = not_grazing(readings, labels) / problem.stds**2
-    weighted, places = readings.by_pose * weights[:, None], problem.readings.places
-    information, score = np.zeros_like(jitters), np.zeros((len(jitters), 3, 1))
+    weighted = readings.by_pose * weights[:, None]
+    places = problem.readings.places
+    information = np.zeros_like(jitters)
+    score = np.zeros((len(jitters), 3, 1))
     np.add.at(information, places, weighted[:, :, None] * readings.by_pose[:, None])
     np.add.at(score, places, (weighted * range_residuals(problem, readings)[:, None])[..., None])
     moved_by = np.linalg.solve(np.eye(3) + jitters @ information, jitters @ score)
@@ -225,7 +228,9 @@ class _Graph:
     """The factors of a problem, which are linearised about one state after the other."""
 
     def __init__(self, problem: Problem, labels: IntArray, unknowns: Unknowns) -> None:
-        self._problem, self._labels, self._unknowns = problem, labels, unknowns
+        self._problem = problem
+        self._labels = labels
+        self._unknowns = unknowns
 
     def linearise(self, state: State, readings: Expected, weights: FloatArray) -> None:
         """Sum up the factors, linearised about a state."""
@@ -254,24 +259,21 @@ class _Graph:
         The motions are changed, and the poses follow from them: so the wheels still drive arcs
         after a large step.
         """
-        problem, unknowns = self._problem, self._unknowns
+        problem = self._problem
+        unknowns = self._unknowns
         moves = step[: unknowns.first_calibration].reshape(state.poses.shape)
         lines = step[unknowns.first_line :].reshape(-1, 2)
-        calibration, pairs = (
-            np.zeros_like(state.calibration),
-            np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1),
-        )
+        calibration = np.zeros_like(state.calibration)
+        pairs = np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1)
         motions = np.einsum("ntij,ntj->nti", self._by_poses(state), pairs)
         if unknowns.calibrated:
             calibration = step[unknowns.first_calibration : unknowns.first_line].reshape(
                 calibration.shape
             )
             motions += self._by_axle(state) * calibration[:, 2, None, None]
-        largest, before, share = (
-            float(np.abs(moves).max()),
-            chi_square(problem, state, readings, weights),
-            1.0,
-        )
+        largest = float(np.abs(moves).max())
+        before = chi_square(problem, state, readings, weights)
+        share = 1.0
         for _ in range(_MOST_HALVINGS):
             new = moved(
                 problem,
@@ -288,8 +290,10 @@ class _Graph:
 
     def _add_motions(self, state: State) -> None:
         """Add the motions, and the prior of the calibrations, if these are estimated."""
-        problem, unknowns = self._problem, self._unknowns
-        errors, jacobian = motion_errors(problem, state), self._by_poses(state)
+        problem = self._problem
+        unknowns = self._unknowns
+        errors = motion_errors(problem, state)
+        jacobian = self._by_poses(state)
         poses = pose_columns(np.arange(unknowns.robots * unknowns.steps)).reshape(state.poses.shape)
         columns: IntArray = np.concatenate((poses[:, :-1], poses[:, 1:]), axis=-1)
         if problem.prior is not None:
@@ -309,7 +313,8 @@ class _Graph:
             off = state.calibration - problem.prior_calibration
             self.equations.add(own, identity, off, np.tile(problem.information, (count, 1, 1)))
         jacobian = jacobian / problem.sizes(state.calibration)[..., None]
-        white, width = problem.whitened(jacobian), jacobian.shape[-1]
+        white = problem.whitened(jacobian)
+        width = jacobian.shape[-1]
         self.equations.add(
             columns.reshape(-1, width),
             white.reshape(-1, 3, width),
@@ -318,13 +323,14 @@ class _Graph:
 
     def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
         """Add the readings of lines."""
-        problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
-        places, roots = problem.readings.places[used], np.sqrt(weights[used])
+        problem = self._problem
+        unknowns = self._unknowns
+        used = np.flatnonzero(self._labels >= 0)
+        places = problem.readings.places[used]
+        roots = np.sqrt(weights[used])
         lines = unknowns.first_line + 2 * self._labels[used, None] + np.arange(2)
-        columns, jacobian = (
-            [pose_columns(places), lines],
-            [readings.by_pose[used], readings.by_line[used]],
-        )
+        columns = [pose_columns(places), lines]
+        jacobian = [readings.by_pose[used], readings.by_line[used]]
         if unknowns.calibrated:
             robots = places[:, None] // problem.steps
             columns.append(unknowns.first_calibration + unknowns.calibrated * robots + (3, 4))

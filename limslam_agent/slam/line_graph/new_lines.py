@@ -23,10 +23,9 @@ from limslam_env.geometry.line import normal
 
 _JOINED = 0.10  # m: readings that ended nearer to each other are of one group
 _DIRECTIONS = np.linspace(0.0, 2.0 * math.pi, 72, endpoint=False)  # rad, into which a face may look
-_NARROWEST, _WIDEST_IN_STDS = (
-    0.03,
-    2.5,
-)  # m, standard deviations: how far from its line a reading may be
+# m, standard deviations: how far from its line a reading may be
+_NARROWEST = 0.03
+_WIDEST_IN_STDS = 2.5
 _MAX_ANGLE_STD = math.radians(12.0)  # of a new line
 _FITS = 3  # of a line to its readings, which are chosen anew for each
 
@@ -37,7 +36,8 @@ def with_new_lines(
     """Labels (k,) with new lines of the readings ``unexplained`` (u,), which are numbered after the
     state's lines.
     """
-    readings, beams = problem.readings, problem.beams[unexplained]
+    readings = problem.readings
+    beams = problem.beams[unexplained]
     places = readings.places[unexplained]
     origins, ahead = rays(state.flat_poses[places], beams)
     distances = problem.true(readings.distances[unexplained], places, state.calibration)
@@ -45,7 +45,8 @@ def with_new_lines(
     pairs = cKDTree(points).query_pairs(_JOINED, output_type="ndarray")
     near = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
     count, group = connected_components(near, directed=False)
-    result, number = labels.copy(), len(state.lines)
+    result = labels.copy()
+    number = len(state.lines)
     order = np.argsort(group, kind="stable")
     for members in np.split(order, np.searchsorted(group[order], np.arange(1, count))):
         for face in _faces(points[members], ahead[members], problem.range_std):
@@ -58,11 +59,9 @@ def _faces(points: FloatArray, ahead: FloatArray, std: float) -> list[IntArray]:
     """The readings of each face in a group of readings that ended at points (n, 2), m, in
     directions (n, 2).
     """
-    free, found, width = (
-        np.arange(len(points)),
-        list[IntArray](),
-        max(_NARROWEST, _WIDEST_IN_STDS * std),
-    )
+    free = np.arange(len(points))
+    found = list[IntArray]()
+    width = max(_NARROWEST, _WIDEST_IN_STDS * std)
     while len(free) >= FEWEST:
         own = _best_face(points[free], ahead[free], std, width)
         if len(own) < FEWEST:
@@ -85,7 +84,9 @@ def _best_face(points: FloatArray, ahead: FloatArray, std: float, width: float) 
     )
     votes = np.where(np.isfinite(heights), ends - np.arange(len(points))[:, None], 0)
     first, best = np.unravel_index(votes.argmax(), votes.shape)
-    facing, height, half = normals[:, best], heights[first, best] + 0.5 * width, 0.5 * width
+    facing = normals[:, best]
+    height = heights[first, best] + 0.5 * width
+    half = 0.5 * width
     for _ in range(_FITS):
         own = np.flatnonzero(
             (ahead @ facing < -GRAZING) & (np.abs(points @ facing - height) <= half)
@@ -93,7 +94,9 @@ def _best_face(points: FloatArray, ahead: FloatArray, std: float, width: float) 
         if len(own) < FEWEST:
             break
         line = fit_line(points[own], std).line
-        turned, half = normal(line), width
+        turned = normal(line)
+        half = width
         sign = math.copysign(1.0, float(turned @ facing))
-        facing, height = sign * turned, sign * float(line[0])
+        facing = sign * turned
+        height = sign * float(line[0])
     return own

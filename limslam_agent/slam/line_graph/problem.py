@@ -207,11 +207,13 @@ class Problem:
         """
         found = np.zeros((*self.wheels.shape, 3))
         if self.turns is None:
-            found[..., 0, 0], found[..., 1, 1] = self.wheels[..., 0], self.wheels[..., 1]
+            found[..., 0, 0] = self.wheels[..., 0]
+            found[..., 1, 1] = self.wheels[..., 1]
             return found
         lever = 0.5 * self.robot.axle * self.turns * (1.0, -1.0)
         found[..., :2, 0] = self.wheels[..., :2].mean(axis=-1, keepdims=True)
-        found[..., 0, 1:], found[..., 1, 1:] = -lever, lever
+        found[..., 0, 1:] = -lever
+        found[..., 1, 1:] = lever
         return found
 
     def sizes(self, calibration: FloatArray) -> FloatArray:
@@ -387,7 +389,8 @@ def _by_headings(
     """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m, with its
     further variances, m^2.
     """
-    travel, more = np.moveaxis(wheels, 0, 1), unknown.sum(axis=-1).T
+    travel = np.moveaxis(wheels, 0, 1)
+    more = unknown.sum(axis=-1).T
     table = np.array(
         [
             [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
@@ -396,7 +399,8 @@ def _by_headings(
             )
         ]
     )
-    angles, variances = table[:, 1:, 0, None, None], table[:, 1:, 1, None, None]
+    angles = table[:, 1:, 0, None, None]
+    variances = table[:, 1:, 1, None, None]
     distances = 0.5 * travel[:, 1:].sum(axis=-1)
     of_distances = 0.25 * (noise.wheel_variance * np.abs(travel).sum(axis=-1) + more)[:, 1:]
     by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
@@ -448,7 +452,8 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     """What each reading (k,) should be, given its line (k,). Those of readings without a line, -1,
     mean nothing.
     """
-    poses, beams = state.flat_poses[problem.readings.places], problem.beams
+    poses = state.flat_poses[problem.readings.places]
+    beams = problem.beams
     found = expected_readings(
         poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
     )

@@ -153,9 +153,11 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     """The state with further lines, through the readings of each label from the number of its lines
     on.
     """
-    known, readings = len(state.lines), problem.readings
+    known = len(state.lines)
+    readings = problem.readings
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
-    lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
+    lines = np.zeros((count, 2))
+    anchors = np.zeros((count, 2))
     origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
     ends = (
         origins
@@ -179,12 +181,11 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
     A beam with an opening angle meets its line at the nearest point inside of it.
     """
     used = np.flatnonzero(labels >= 0)
-    poses, beams, own = (
-        state.flat_poses[problem.readings.places[used]],
-        problem.beams[used],
-        labels[used],
-    )
-    lines, anchors = state.lines[own], state.anchors[own]
+    poses = state.flat_poses[problem.readings.places[used]]
+    beams = problem.beams[used]
+    own = labels[used]
+    lines = state.lines[own]
+    anchors = state.anchors[own]
     slants = angle_between(lines[:, 1] - poses[:, 2] - beams[:, 2])
     beams[:, 2] += np.clip(slants, -problem.sensor.cone, problem.sensor.cone)
     origins, ahead = rays(poses, beams)
@@ -203,11 +204,13 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
     side = np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
     sided = np.where(labels >= 0, 2 * labels + side, -1)
-    along, count = places_along(problem, state, labels), 2 * len(state.lines)
+    along = places_along(problem, state, labels)
+    count = 2 * len(state.lines)
     order = np.lexsort((along, sided))
     order = order[sided[order] >= 0]
     firsts = np.searchsorted(sided[order], np.arange(count + 1))
-    ends, is_seen = np.tile([np.inf, -np.inf], (count, 1)), np.diff(firsts) > _FEWEST_OF_SIDE
+    ends = np.tile([np.inf, -np.inf], (count, 1))
+    is_seen = np.diff(firsts) > _FEWEST_OF_SIDE
     ends[is_seen, 0] = along[order][firsts[:-1][is_seen] + 1]
     ends[is_seen, 1] = along[order][firsts[1:][is_seen] - 2]
     return ends.reshape(-1, 2, 2)
@@ -237,7 +240,8 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
 
 def straightened(found: Association) -> Association:
     """The optimum with bent lines divided."""
-    problem, state = found.problem, found.state
+    problem = found.problem
+    state = found.state
     labels = _straight_labels(problem, state, found.labels)
     if np.array_equal(labels, found.labels):
         return found
@@ -248,14 +252,16 @@ def _straight_labels(problem: Problem, state: State, labels: IntArray) -> IntArr
     """Labels (k,) in which bent lines are divided. Parts with too few readings for a line have no
     line.
     """
-    readings, along = expected(problem, state, labels), places_along(problem, state, labels)
+    readings = expected(problem, state, labels)
+    along = places_along(problem, state, labels)
     cosines = readings.cosines
     # The distance of a reading from its line is the residual along the beam times the cosine.
     variances = np.maximum(problem.variances(state, readings) * cosines**2, 1e-18)
     points = np.stack((along, range_residuals(problem, readings) * cosines, 1.0 / variances))
     order = np.lexsort((along, labels))
     order = order[not_grazing(readings, labels)[order]]
-    result, count = labels.copy(), int(labels.max(initial=-1)) + 1
+    result = labels.copy()
+    count = int(labels.max(initial=-1)) + 1
     for line in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         for part in _straight_parts(points, line)[1:]:
             result[part] = count
@@ -298,7 +304,8 @@ def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
     Each merge updates all lines through their joint covariance. Poses and lines are solved for
     again when a line has moved far. This repeats until no pair can merge.
     """
-    problem, has_merged = found.problem, False
+    problem = found.problem
+    has_merged = False
     while True:
         state = found.state
         seen = seen_ends(problem, state, found.labels)
@@ -307,4 +314,5 @@ def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
         if not merge_lines(lines, kinds):
             return found, has_merged, kinds
         labels = np.where(found.labels >= 0, lines.merged_into[found.labels], -1)
-        found, has_merged = solve_again(problem, state, labels), True
+        found = solve_again(problem, state, labels)
+        has_merged = True

@@ -66,7 +66,8 @@ def renewed(
 
 def _aged(state: MapState, end_std: float) -> MapState:
     """The map with the ends of each wall, m, less certain by a standard deviation, m."""
-    variance, lengths = end_std**2, np.array([np.ptp(wall.extent.ends) for wall in state.walls])
+    variance = end_std**2
+    lengths = np.array([np.ptp(wall.extent.ends) for wall in state.walls])
     lengths = np.maximum(lengths, _SHORTEST)
     added = np.column_stack((np.full(len(lengths), 0.5 * variance), 2.0 * variance / lengths**2))
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
@@ -79,12 +80,16 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or
     -1.
     """
-    state, solution = found.state, found.solution
+    state = found.state
+    solution = found.solution
     extents = {
         index: extent for index, extent in enumerate(tally(found)[0]) if len(drawn_pieces(extent))
     }
-    kept, counts = np.array(list(extents), dtype=int), np.bincount(found.labels + 1)[1:]
-    lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
+    kept = np.array(list(extents), dtype=int)
+    counts = np.bincount(found.labels + 1)[1:]
+    lines = state.lines[kept]
+    anchors = state.anchors[kept]
+    last = state.poses[0, -1]
     columns = np.append(
         pose_columns(solution.unknowns.ends[-1:]),
         solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2),
@@ -94,12 +99,14 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     by_start = np.vstack(
         (poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors))
     )
-    size, old = len(rows) + 2 * len(start.lines), np.arange(POSE, POSE + 2 * len(start.lines))
+    size = len(rows) + 2 * len(start.lines)
+    old = np.arange(POSE, POSE + 2 * len(start.lines))
     new = np.append(np.arange(POSE), np.arange(old.size + POSE, size))
     covariance = np.empty((size, size))
     covariance[np.ix_(old, old)] = start.covariance[POSE:, POSE:]
     crossed = by_start @ start.covariance[:POSE, POSE:]
-    covariance[np.ix_(new, old)], covariance[np.ix_(old, new)] = crossed, crossed.T
+    covariance[np.ix_(new, old)] = crossed
+    covariance[np.ix_(old, new)] = crossed.T
     moved = by_start @ start.covariance[:POSE, :POSE] @ by_start.T
     covariance[np.ix_(new, new)] = moved + solution.covariance[np.ix_(rows, rows)]
     return MapState(

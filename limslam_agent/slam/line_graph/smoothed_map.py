@@ -27,11 +27,16 @@ def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
     """Where along each line of a solution beams ended and passed, and how much each of the looks
     (k,) contradicts walls.
     """
-    problem, state, used = found.problem, found.state, found.labels >= 0
+    problem = found.problem
+    state = found.state
+    used = found.labels >= 0
     looks = problem.looks
-    labels, along = found.labels[used], places_along(problem, state, found.labels)[used]
-    bins, count = np.floor(along / BIN).astype(np.int64), len(state.lines)
-    low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, np.iinfo(np.int64).min)
+    labels = found.labels[used]
+    along = places_along(problem, state, found.labels)[used]
+    bins = np.floor(along / BIN).astype(np.int64)
+    count = len(state.lines)
+    low = np.full(count, np.iinfo(np.int64).max)
+    high = np.full(count, np.iinfo(np.int64).min)
     np.minimum.at(low, labels, bins)
     np.maximum.at(high, labels, bins)
     bins -= low[labels]
@@ -59,7 +64,8 @@ def lasting(found: Association) -> Association:
     """The optimum without the readings of what did not last, as somebody who walked by: of places
     where more beams passed than ended.
     """
-    along, labels = places_along(found.problem, found.state, found.labels), found.labels.copy()
+    along = places_along(found.problem, found.state, found.labels)
+    labels = found.labels.copy()
     for index, extent in enumerate(tally(found)[0]):
         own = np.flatnonzero(labels == index)
         bins = np.floor(along[own] / BIN).astype(np.int64) - extent.low
@@ -76,8 +82,10 @@ def contradictions(found: Association) -> float:
 
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
-    problem, looks = found.problem, found.problem.looks
-    steps, beams = len(problem.starts) * problem.steps, len(problem.robot.beams)
+    problem = found.problem
+    looks = found.problem.looks
+    steps = len(problem.starts) * problem.steps
+    beams = len(problem.robot.beams)
     is_empty = np.zeros((steps + 2, beams), dtype=bool)
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
@@ -110,9 +118,11 @@ def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
 
 def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     """Lines (m, 2) as (r, theta) about the world's origin, and their covariances (m, 2, 2)."""
-    state, joint = found.state, found.solution.of_lines
+    state = found.state
+    joint = found.solution.of_lines
     lines = state.lines.copy()
-    normals, tangents = normal(lines), direction(lines)
+    normals = normal(lines)
+    tangents = direction(lines)
     lines[:, 0] += np.sum(normals * state.anchors, axis=1)
     lever = np.sum(tangents * state.anchors, axis=1)
     own = 2 * np.arange(len(lines))
@@ -132,10 +142,12 @@ def drawn_pieces(extent: WallExtent) -> FloatArray:
 
 def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
     """The wall segments (k, 4), m, and the line (k,) of each."""
-    drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
+    drawn = [no_rows(4)]
+    owners = [np.zeros(0, dtype=np.int64)]
     along = places_along(found.problem, found.state, found.labels)
     for index, extent in enumerate(tally(found)[0]):
-        pieces, own = drawn_pieces(extent), along[found.labels == index, None]
+        pieces = drawn_pieces(extent)
+        own = along[found.labels == index, None]
         count = np.sum((own >= pieces[:, 0]) & (own <= pieces[:, 1]), axis=0)
         # Many beams that end at one point show no wall.
         pieces = pieces[(count >= FEWEST) & (np.ptp(pieces, axis=1) >= BIN)]

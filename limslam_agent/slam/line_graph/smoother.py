@@ -122,7 +122,8 @@ class FilteredRun:
             return self
         wheels = held_back(self.wheels, delay)
         waiting = np.cumsum(self.wheels - wheels, axis=0)
-        poses, ticks = behind(self.poses, waiting, self.robot.axle), ticks_of(self.wheels)
+        poses = behind(self.poses, waiting, self.robot.axle)
+        ticks = ticks_of(self.wheels)
         yaw = None if self.yaw is None else headings_held_back(self.yaw, delay)
         return replace(self, wheels=wheels, poses=poses, ticks=ticks, waiting=waiting, yaw=yaw)
 
@@ -130,7 +131,8 @@ class FilteredRun:
         """The run before a step of its own, with what the filter had found out by then."""
         if step is None:
             return self
-        rows, end = ["wheels", "ranges", "usable", "poses", "covariances"], self.first_step + step
+        rows = ["wheels", "ranges", "usable", "poses", "covariances"]
+        end = self.first_step + step
         optional = ("waiting", "yaw", "wheel_variances")
         rows += [name for name in optional if getattr(self, name) is not None]
         return replace(
@@ -195,7 +197,8 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
 
     ``frame`` (3,) is the pose of the second run's frame in that of the first one.
     """
-    first, second = first.corrected, second.corrected
+    first = first.corrected
+    second = second.corrected
     moved = replace(
         second,
         poses=compose(frame, second.poses),
@@ -343,17 +346,13 @@ def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
     The filter has found them by hundreds of readings, of which the associations of the run hold a
     few only.
     """
-    wheels, roots, jumps = (
-        problem.wheels.copy(),
-        problem.roots.copy(),
-        np.zeros_like(problem.wheels),
-    )
+    wheels = problem.wheels.copy()
+    roots = problem.roots.copy()
+    jumps = np.zeros_like(problem.wheels)
     turns = None if problem.turns is None else problem.turns.copy()
     for number, step in run.breaks:
-        poses, covariances = (
-            run.poses[step - 1 : step + 1, number].copy(),
-            run.covariances[step - 1 : step + 1, number],
-        )
+        poses = run.poses[step - 1 : step + 1, number].copy()
+        covariances = run.covariances[step - 1 : step + 1, number]
         poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
         wheels[number, step - 1] = 0.0
         if turns is not None:
@@ -376,14 +375,16 @@ def filter_labels(
     """For each reading (k,), the landmark of the filter's final association, or -1. Row 0 is a step
     of the drive.
     """
-    count, steps = len(problem.starts), problem.steps
+    count = len(problem.starts)
+    steps = problem.steps
     table = np.full((count * steps, len(problem.robot.beams)), -1)
     united = {closure.younger: closure.older for closure in closures}
     for record in associations:
         number = record.landmark
         while number in united:
             number = united[number]
-        rows, beams = record.readings[:, 0] - first_step, record.readings[:, 1]
+        rows = record.readings[:, 0] - first_step
+        beams = record.readings[:, 1]
         table[record.robot * steps + rows[rows >= 0], beams[rows >= 0]] = number
     return np.asarray(table[problem.readings.places, problem.readings.beams])
 
@@ -420,7 +421,8 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
 def _associations(
     found: Association, landmarks: list[Landmark], first_step: int
 ) -> list[AssociationRecord]:
-    problem, readings = found.problem, found.problem.readings
+    problem = found.problem
+    readings = found.problem.readings
     records = []
     for number, mark in enumerate(landmarks):
         for robot in range(len(problem.starts)):

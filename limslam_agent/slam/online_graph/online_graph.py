@@ -87,11 +87,14 @@ class OnlineGraph:
     places: ChunkGraph | None
 
     def __init__(self, log: LogData, start: FloatArray, config: GraphConfig | None = None) -> None:
-        self._log, self._config = log, config or GraphConfig()
-        self._recent, self.places = RecentEvents(), None
+        self._log = log
+        self._config = config or GraphConfig()
+        self._recent = RecentEvents()
+        self.places = None
         self._start = np.asarray(start, dtype=float)
         self.errors = OdometryErrors.unknown(self._config.motion)
-        self._ridden, self._variances = np.zeros(3), np.zeros(3)
+        self._ridden = np.zeros(3)
+        self._variances = np.zeros(3)
         self._anchor = Anchor(
             self._ridden,
             self._variances,
@@ -104,18 +107,21 @@ class OnlineGraph:
         # kept, and its covariance (3, 3); None while the middle of that chunk is kept
         self._blind: tuple[FloatArray, FloatArray] | None = None
         self._waiting: Anchor | None = None
-        self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
+        self._chunk_std = 0.0
+        self._first_covariance = np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
-        self._last_job, self._proofs = (
-            0,
-            0,
-        )  # event of the last job; stretches that prove that odometry has no sign
+        # event of the last job; stretches that prove that odometry has no sign
+        self._last_job = 0
+        self._proofs = 0
         self._reversed = list[
             tuple[int, int]
         ]()  # stretches that are to be turned round if that is proven
         self._job_at = _remainder(self._config.maps)
-        self._key_travel, self._key_turned = 0.0, 0.0
-        self.pose, self.covariance, self.job_ms = self._start, np.zeros((3, 3)), 0.0
+        self._key_travel = 0.0
+        self._key_turned = 0.0
+        self.pose = self._start
+        self.covariance = np.zeros((3, 3))
+        self.job_ms = 0.0
 
     def step(
         self,
@@ -139,7 +145,9 @@ class OnlineGraph:
             Standard deviations (3,) of the motion before the event, m and rad, if odometry does not
             tell it.
         """
-        recent, travel, turned = self._recent, self._recent.travel, self._recent.turned
+        recent = self._recent
+        travel = self._recent.travel
+        turned = self._recent.turned
         recent.append(time, odometry, ranges, hit, break_stds)
         self.job_ms = 0.0
         motion = calibrated_motion(recent.last_motion, self._anchor.errors)
@@ -152,9 +160,11 @@ class OnlineGraph:
             # The next chunk lies behind the break as a whole.
             self._job_at = recent.travel + 2.0 * self._config.maps.half
         if self._is_key_pose():
-            self._key_travel, self._key_turned = recent.travel, recent.turned
+            self._key_travel = recent.travel
+            self._key_turned = recent.turned
             if self._waiting is not None:
-                self._anchor, self._waiting = self._waiting, None
+                self._anchor = self._waiting
+                self._waiting = None
             if recent.travel >= self._job_at:
                 begin = clock.perf_counter()
                 self._do_job()
@@ -175,15 +185,14 @@ class OnlineGraph:
         return float(np.sqrt(self._chunk_std**2 + moved[:2].sum()))
 
     def _is_key_pose(self) -> bool:
-        driven, turned = (
-            self._recent.travel - self._key_travel,
-            self._recent.turned - self._key_turned,
-        )
+        driven = self._recent.travel - self._key_travel
+        turned = self._recent.turned - self._key_turned
         return driven >= KEY_DISTANCE or turned >= KEY_TURN
 
     def _do_job(self) -> None:
         """Smooth the last metres and find their place. The result waits until the next key pose."""
-        maps, recent = self._config.maps, self._recent
+        maps = self._config.maps
+        recent = self._recent
         while self._job_at <= recent.travel:
             self._job_at += maps.hop
         driven = recent.travel - recent.travel_at(recent.first)
@@ -207,10 +216,8 @@ class OnlineGraph:
         Odometry alone tells the motion since the last chunk.
         """
         chunk = self._start if self.places is None else self.places.poses[-1]
-        before, motion = (
-            between(chunk, self._anchor.pose),
-            between(self._anchor.ridden, self._ridden),
-        )
+        before = between(chunk, self._anchor.pose)
+        motion = between(self._anchor.ridden, self._ridden)
         own = np.diag(self._variances - self._anchor.variances)
         covariance = moved_covariance(before, self._anchor.since, motion, own)
         self._blind = compose(before, motion), covariance
@@ -221,7 +228,8 @@ class OnlineGraph:
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
-        recent, reversing = self._recent, self._config.reversing
+        recent = self._recent
+        reversing = self._config.reversing
         data = recent.data(self._log)
         if recent.backwards >= LEAST_LENGTH:
             return data
@@ -240,13 +248,16 @@ class OnlineGraph:
 
     def _placed(self, frame: LocalFrame) -> Anchor:
         """The last event of the window, after its chunk has been added."""
-        recent, maps = self._recent, self._config.maps
+        recent = self._recent
+        maps = self._config.maps
         last = len(frame.keys) - 1
         if recent.travel >= 2.0 * maps.half:
             key = int(frame.keys.event_key[recent.at(recent.travel - maps.half) - recent.first])
             self._add_chunk(frame, key)
         if self.places is None:
-            key, pose, covariance = 0, self._start, np.zeros((3, 3))
+            key = 0
+            pose = self._start
+            covariance = np.zeros((3, 3))
         else:
             pose = self.places.poses[-1]
             covariance = self.places.last_covariance + _turned(
@@ -265,25 +276,30 @@ class OnlineGraph:
 
     def _add_chunk(self, frame: LocalFrame, key: int) -> None:
         """Add the chunk around a key pose of the window to the graph."""
-        recent, config = self._recent, self._config
+        recent = self._recent
+        config = self._config
         event = recent.first + int(frame.keys.first_event[key])
         (chunk,) = cut_chunks(
             frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range
         )
         chunk = replace(chunk, travel=recent.travel_at(event))
-        pose, before = frame.trajectory.poses[key], np.array(self._middles) - recent.first
+        pose = frame.trajectory.poses[key]
+        before = np.array(self._middles) - recent.first
         own = inflated(frame.covariances(np.array([frame.keys.event_key[before[-1]], key])))[0]
         path = np.vstack((frame.poses[before], pose))
         motions = between(path[:-1], path[1:])
         if self._blind is not None:
             motion, covariance = self._blind
             own = moved_covariance(motion, covariance, motions[0], own)
-            motions, self._blind, self._middles = compose(motion, motions), None, []
+            motions = compose(motion, motions)
+            self._blind = None
+            self._middles = []
         if self.places is None:
             self._first_covariance = moved_covariance(
                 self._start, np.zeros((3, 3)), motions[-1], own
             )
-            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motions[-1])), []
+            self.places = ChunkGraph(chunk, compose(self._start, motions[-1]))
+            self._middles = []
         else:
             self.places.add(chunk, motions, own)
             self._chunk_std = self.places.position_std

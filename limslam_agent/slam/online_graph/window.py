@@ -66,17 +66,21 @@ class RecentEvents:
     """
 
     def __init__(self) -> None:
-        self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
+        self.first = 0
+        self.travel = 0.0
+        self.turned = 0.0
+        self.backwards = 0.0
         self._odometry: FloatArray | None = None
         self.last_motion = np.zeros(3)
-        self._place, self._crowd = (0.0, 0.0), 0  # travel and turn of a place, and its events
-        self._times, self._travels = list[float](), list[float]()
+        # travel and turn of a place, and its events
+        self._place = (0.0, 0.0)
+        self._crowd = 0
+        self._times = list[float]()
+        self._travels = list[float]()
         self._breaks = dict[int, FloatArray]()
-        self._moves, self._ranges, self._hits = (
-            list[FloatArray](),
-            list[FloatArray](),
-            list[BoolArray](),
-        )
+        self._moves = list[FloatArray]()
+        self._ranges = list[FloatArray]()
+        self._hits = list[BoolArray]()
 
     @property
     def last(self) -> int:
@@ -105,7 +109,8 @@ class RecentEvents:
         self.last_motion = move
         travel, turned = self._place
         if self.travel - travel >= KEY_DISTANCE or self.turned - turned >= KEY_TURN:
-            self._place, self._crowd = (self.travel, self.turned), 0
+            self._place = (self.travel, self.turned)
+            self._crowd = 0
         self._crowd += 1
         if self._crowd > _CROWD:
             move = compose(self._moves[-1], move)

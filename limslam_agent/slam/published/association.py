@@ -67,21 +67,23 @@ def associate(
     """
     if len(lines) == 0:
         return []
-    ends, line, tests = transform_points(pose, observed.ends), from_frame(observed.line, pose), []
+    ends = transform_points(pose, observed.ends)
+    line = from_frame(observed.line, pose)
+    tests = []
     (angles, offsets), gaps = difference(line, ends, lines), end_gaps(ends, lines, segments)
     passed = passed_tests(
         observed, pose, segments, (angles, offsets, gaps), max_range + config.range_slack, config
     )
     for index in range(len(lines)):
-        excluded, squared = (
-            next((name for name, passes in passed.items() if not passes[index]), ""),
-            np.nan,
-        )
+        excluded = next((name for name, passes in passed.items() if not passes[index]), "")
+        squared = np.nan
         if not excluded:
             off, covariance = innovation(observed.line, observed.covariance, index)
             squared = float(off @ np.linalg.solve(covariance, off))
             excluded = "gate" if squared > config.gate else ""
-        angle, offset, gap = float(angles[index]), float(offsets[index]), float(gaps[index])
+        angle = float(angles[index])
+        offset = float(offsets[index])
+        gap = float(gaps[index])
         tests.append(CandidateTest(index, excluded, angle, offset, gap, squared))
     return tests
 

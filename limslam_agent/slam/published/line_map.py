@@ -23,7 +23,8 @@ class LineMap:
     """
 
     def __init__(self, belief: LineEKF, config: MapConfig) -> None:
-        self._belief, self._config = belief, config
+        self._belief = belief
+        self._config = config
         self._ends: list[FloatArray] = []
         self._observations: list[int] = []
         self.redraw()
@@ -44,7 +45,8 @@ class LineMap:
 
     def redraw(self) -> None:
         """Project the landmarks on their lines, and find those that are walls of the map."""
-        lines, ends = self._belief.lines, np.array(self._ends).reshape(-1, 2, 2)
+        lines = self._belief.lines
+        ends = np.array(self._ends).reshape(-1, 2, 2)
         tangents = direction(lines)
         position = np.einsum("ned,nd->ne", ends, tangents)
         foot = lines[:, :1] * np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))

@@ -61,7 +61,8 @@ class PublishedEstimator(Estimator):
         """The limits that decide about associations and loops, for diagnostics to show beside the
         values.
         """
-        near, loop = self._config.association, self._config.closing
+        near = self._config.association
+        loop = self._config.closing
         return {
             "gate": near.gate,
             "angle": near.max_angle,
@@ -114,7 +115,8 @@ class PublishedEstimator(Estimator):
         """Associate an observed line with a known landmark or a new one, or close a loop with
         it.
         """
-        fit, pose = line.fit, self.filter.poses[robot]
+        fit = line.fit
+        pose = self.filter.poses[robot]
         covariance = fit.covariance + np.diag(
             [0.0, self._config.filter.drift_share * float(scan.drift.mean())]
         )
@@ -158,16 +160,15 @@ class PublishedEstimator(Estimator):
         not merged, and the older one would otherwise be used as a new measurement again and again.
         """
         # An older landmark has a smaller number.
-        config, pair = (
-            self._config.closing,
-            (min(landmarks[:2], default=0), max(landmarks[:2], default=0)),
-        )
+        config = self._config.closing
+        pair = (min(landmarks[:2], default=0), max(landmarks[:2], default=0))
         is_wanted = config.enabled and self._config.filter.correct
         if len(landmarks) < 2 or pair in self._closed or not is_wanted:
             return False
         (older, younger), before = pair, self._distance(*pair)
         angle, offset_before = self._off(older, younger)
-        lines, segments = self.filter.lines[[older]], self._map.every
+        lines = self.filter.lines[[older]]
+        segments = self._map.every
         gap = end_gaps(segments[younger].reshape(2, 2), lines, segments[[older]]).item()
         is_near = gap <= -config.min_overlap and offset_before <= config.max_distance
         if before > config.gate or not is_near or angle > config.max_angle:
@@ -187,7 +188,8 @@ class PublishedEstimator(Estimator):
         """The angle between two landmarks, rad, and the distance of the younger one's middle from
         the older one, m.
         """
-        lines, ends = self.filter.lines, self._map.every[younger].reshape(2, 2)
+        lines = self.filter.lines
+        ends = self._map.every[younger].reshape(2, 2)
         angles, offsets = difference(lines[younger], ends, lines[[older]])
         return angles.item(), offsets.item()
 

@@ -55,8 +55,10 @@ class ScanBuffer:
         self._directions = robot.beam_directions[self._beams]
         # End point and origin of each beam, step and beam, and drift.
         self._places = np.empty((0, 2, 2))
-        self._readings, self._drift = np.empty((0, 2), dtype=np.int64), np.empty(0)
-        self._since_hit, self._missed = 0.0, False
+        self._readings = np.empty((0, 2), dtype=np.int64)
+        self._drift = np.empty(0)
+        self._since_hit = 0.0
+        self._missed = False
         self._moved = self._turned = np.inf
 
     @property
@@ -95,7 +97,8 @@ class ScanBuffer:
         if self._missed and self._since_hit > self._config.max_gap and len(self._drift):
             handed_on.append(self.take())
         if chosen.any():
-            self._since_hit, self._missed = 0.0, False
+            self._since_hit = 0.0
+            self._missed = False
             self._append(ranges, chosen, step)
             if len(self._drift) >= self._config.size:
                 handed_on.append(self.take())
@@ -115,7 +118,8 @@ class ScanBuffer:
         if self._moved < self._config.min_distance and self._turned < self._config.min_turn:
             return
         self._moved = self._turned = 0.0
-        beams, origins = self._beams[chosen], self._origins[chosen]
+        beams = self._beams[chosen]
+        origins = self._origins[chosen]
         points = np.stack(
             (origins + ranges[beams, None] * self._directions[chosen], origins), axis=1
         )

@@ -40,7 +40,9 @@ _EXPONENT = re.compile(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+")
 _MODES = ("trinary", "scale", "raw")
 _RAW = 100  # level of a raw map that is surely occupied; higher ones are unknown
 
-OCCUPIED, FREE, UNKNOWN = 0, 254, 205
+OCCUPIED = 0
+FREE = 254
+UNKNOWN = 205
 """Levels of a map's cells, as map_server's own saver writes them."""
 
 _MARGIN = 4  # cells around the walls
@@ -87,7 +89,8 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
             shade = np.round((1.0 - shade) * 255.0) / _RAW
         is_occupied = (shade > info.occupied_thresh) & (shade <= 1.0)
         is_free = shade <= info.free_thresh
-        occupied, unknown = is_occupied[picture.levels], ~(is_occupied | is_free)[picture.levels]
+        occupied = is_occupied[picture.levels]
+        unknown = ~(is_occupied | is_free)[picture.levels]
         if info.mode == "scale" and picture.opacity is not None:
             unknown |= picture.opacity < 255
             occupied &= ~unknown

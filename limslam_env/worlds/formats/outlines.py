@@ -10,7 +10,8 @@ from limslam_env.worlds.world import WorldError
 
 # Noise has a patch or a corner at every other cell, and would take minutes; floor plans stay far
 # below.
-_MAX_OUTLINES, _MAX_CORNERS = 20_000, 1_000_000
+_MAX_OUTLINES = 20_000
+_MAX_CORNERS = 1_000_000
 _PILLAR_CORNERS = 100
 
 
@@ -38,7 +39,8 @@ def outlines_of(occupied: BoolArray) -> tuple[FloatArray, list[FloatArray]]:
             f"{len(contours)} separate outlines: noise, or no floor plan; up to {_MAX_OUTLINES} "
             "can be used"
         )
-    polygons, walls = [], [np.zeros((0, 4))]
+    polygons = []
+    walls = [np.zeros((0, 4))]
     for contour, (_, _, hole, around) in zip(contours, hierarchy[0], strict=True):
         is_solid = hole < 0 and around < 0
         corners = _corners_of(contour[:, 0].astype(np.int32), doubled, is_solid=is_solid)
@@ -116,7 +118,8 @@ def _with_corners(outline: IntArray, occupied: NDArray[np.uint8]) -> IntArray:
     """
     step = np.roll(outline, -1, axis=0) - outline
     at = np.nonzero(np.abs(step).min(axis=1) == 1)[0]
-    ahead, aside = outline[at] + step[at] * (1, 0), outline[at] + step[at] * (0, 1)
+    ahead = outline[at] + step[at] * (1, 0)
+    aside = outline[at] + step[at] * (0, 1)
     # One side of the step is open, and the corner is on the other; where two patches touch, both
     # are open.
     corner = np.where(occupied[ahead[:, 1], ahead[:, 0], None] > 0, ahead, aside)
@@ -128,8 +131,10 @@ def _is_simple(corners: IntArray) -> bool:
     """Whether a polygon (k, 2) of whole numbers has an area and touches itself nowhere."""
     if not 3 <= len(corners) <= _PILLAR_CORNERS:
         return False
-    a, b = corners, np.roll(corners, -1, axis=0)
-    span, after = b - a, np.roll(b - a, -1, axis=0)
+    a = corners
+    b = np.roll(corners, -1, axis=0)
+    span = b - a
+    after = np.roll(b - a, -1, axis=0)
     turns = span[:, 0] * after[:, 1] - span[:, 1] * after[:, 0]
     if ((turns == 0) & ((span * after).sum(axis=1) < 0)).any():  # it runs back on itself
         return False
@@ -142,7 +147,8 @@ def _is_simple(corners: IntArray) -> bool:
         )
 
     straddles = side(a) * side(b) <= 0
-    low, high = np.minimum(a, b), np.maximum(a, b)
+    low = np.minimum(a, b)
+    high = np.maximum(a, b)
     overlap = ((low[:, None] <= high[None]) & (low[None] <= high[:, None])).all(axis=-1)
     index = np.arange(len(corners))
     apart = (index[:, None] - index[None]) % len(corners)

@@ -20,12 +20,14 @@ from limslam_env.worlds.formats.outlines import outlines_of, pieces_of
 from limslam_env.worlds.formats.tables import read_bytes
 from limslam_env.worlds.world import World, WorldError, named
 
-FINEST, COARSEST = 0.001, 10.0
+FINEST = 0.001
+COARSEST = 10.0
 """Smallest and largest side of a cell, m."""
 
 MAX_PIXELS = 36_000_000
 
-FREE_BELOW, OCCUPIED_ABOVE = 0.196, 0.65
+FREE_BELOW = 0.196
+OCCUPIED_ABOVE = 0.65
 """Usual thresholds of map_server for the shade of a cell, 0 for white to 1 for black."""
 
 # Pillow's name of a family of formats, PGM among them
@@ -119,7 +121,8 @@ def read_plan(path: Path, metres_per_pixel: float | None) -> World:
             occupied = shade > OCCUPIED_ABOVE
             unknown = ~occupied & (shade >= FREE_BELOW)
         else:
-            occupied, unknown = shade > 0.5, np.zeros(shade.shape, dtype=bool)
+            occupied = shade > 0.5
+            unknown = np.zeros(shade.shape, dtype=bool)
         return world_of_cells(path_name(path), occupied, unknown, metres_per_pixel)
 
 

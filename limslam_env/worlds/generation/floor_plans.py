@@ -174,7 +174,8 @@ def _outline(
     points: Polygon = []
     cuts_of: dict[Room, list[Segment]] = {room: [] for room in rooms}
     for is_right, is_top in ((0, 0), (1, 0), (1, 1), (0, 1)):
-        x, y = is_right * size[0], is_top * size[1]
+        x = is_right * size[0]
+        y = is_top * size[1]
         (room,) = [
             room
             for room in rooms
@@ -185,7 +186,8 @@ def _outline(
         if cut is None:
             points.append((x, y))
             continue
-        on_x, on_y = (x - cut[0] if is_right else cut[0], y), (x, y - cut[1] if is_top else cut[1])
+        on_x = (x - cut[0] if is_right else cut[0], y)
+        on_y = (x, y - cut[1] if is_top else cut[1])
         # On the way round, the side that leads to the corner comes first.
         first, second = (on_y, on_x) if is_right == is_top else (on_x, on_y)
         points += [first, second]

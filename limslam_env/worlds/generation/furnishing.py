@@ -23,11 +23,16 @@ _TRIES = 6
 # Beside the clearance, so that nothing stands in a doorway.
 _BEFORE_DOORS = 150
 
-_SHORTEST_CUT, _LONGEST_CUT = 300, 1200
-_SHALLOWEST_STUB, _DEEPEST_STUB = 500, 1800
-_STUB_SHARE, _STUB_TRIES = 0.8, 16
+_SHORTEST_CUT = 300
+_LONGEST_CUT = 1200
+_SHALLOWEST_STUB = 500
+_DEEPEST_STUB = 1800
+_STUB_SHARE = 0.8
+_STUB_TRIES = 16
 _FREE_HALF = (150, 500)
-_AT_WALL_SHARE, _RECTANGLE_SHARE, _UPRIGHT_SHARE = 0.4, 0.3, 0.7
+_AT_WALL_SHARE = 0.4
+_RECTANGLE_SHARE = 0.3
+_UPRIGHT_SHARE = 0.7
 
 
 def furnish(
@@ -117,9 +122,11 @@ def _stub(room: Room, clearance: int, generator: np.random.Generator) -> Segment
     """A wall from a drawn side of a room inwards, at 45 degrees or more to that side; None if it
     finds no space.
     """
-    axis, is_high = int(generator.integers(2)), bool(generator.integers(2))
+    axis = int(generator.integers(2))
+    is_high = bool(generator.integers(2))
     deepest = min(_DEEPEST_STUB, room.side(1 - axis) - clearance)
-    first, last = room.low[axis] + clearance, room.high[axis] - clearance
+    first = room.low[axis] + clearance
+    last = room.high[axis] - clearance
     if deepest < _SHALLOWEST_STUB or first > last:
         return None
     depth = int(generator.integers(_SHALLOWEST_STUB, deepest, endpoint=True))
@@ -128,9 +135,11 @@ def _stub(room: Room, clearance: int, generator: np.random.Generator) -> Segment
     head = foot + (lean if generator.random() < 0.5 else -lean)
     if not first <= head <= last:
         return None
-    base, tip = room.low[1 - axis], room.low[1 - axis] + depth
+    base = room.low[1 - axis]
+    tip = room.low[1 - axis] + depth
     if is_high:
-        base, tip = room.high[1 - axis], room.high[1 - axis] - depth
+        base = room.high[1 - axis]
+        tip = room.high[1 - axis] - depth
     return (foot, base, head, tip) if axis == 0 else (base, foot, tip, head)
 
 
@@ -155,9 +164,12 @@ def _box_at_wall(
     """A rectangle with its longer side on a wall, and half a diagonal of ``radius``; None if it
     finds no place.
     """
-    room, axis, is_high = contents.room, int(generator.integers(2)), bool(generator.integers(2))
+    room = contents.room
+    axis = int(generator.integers(2))
+    is_high = bool(generator.integers(2))
     depth, width = sorted(int(2 * radius * side) for side in _on_circle(_drawn_quarter(generator)))
-    first, last = room.low[axis] + clearance, room.high[axis] - clearance - width
+    first = room.low[axis] + clearance
+    last = room.high[axis] - clearance - width
     if first > last or room.side(1 - axis) < depth + clearance:
         return None
     base = room.high[1 - axis] - depth if is_high else room.low[1 - axis]
@@ -249,7 +261,8 @@ def _on_circle(turn: float) -> tuple[float, float]:
     """A point of the unit circle, at a fraction ``turn`` (0 to 1) of the circle."""
     quarter = int(4.0 * turn)
     half = 4.0 * turn - quarter  # stands for the tangent of half the angle
-    x, y = (1.0 - half * half) / (1.0 + half * half), 2.0 * half / (1.0 + half * half)
+    x = (1.0 - half * half) / (1.0 + half * half)
+    y = 2.0 * half / (1.0 + half * half)
     return ((x, y), (-y, x), (-x, -y), (y, -x))[quarter % 4]
 
 
@@ -268,9 +281,12 @@ def _boxes_are_apart(first: Segment, second: Segment, distance: int) -> bool:
 def _is_near(point: Point, segment: Segment, distance: int) -> bool:
     """Whether a point is nearer to a segment than a distance (mm)."""
     x1, y1, x2, y2 = segment
-    span_x, span_y = x2 - x1, y2 - y1
-    to_x, to_y = point[0] - x1, point[1] - y1
-    along, squared = to_x * span_x + to_y * span_y, span_x * span_x + span_y * span_y
+    span_x = x2 - x1
+    span_y = y2 - y1
+    to_x = point[0] - x1
+    to_y = point[1] - y1
+    along = to_x * span_x + to_y * span_y
+    squared = span_x * span_x + span_y * span_y
     if along <= 0:
         return to_x * to_x + to_y * to_y < distance * distance
     if along >= squared:

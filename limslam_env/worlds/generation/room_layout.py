@@ -158,7 +158,8 @@ class _Cutter:
         if 5 * part.side(first) < 7 * part.side(1 - first):
             first = int(self._generator.integers(2))
         for across in (first, 1 - first):
-            low, high = part.low[across] + smallest, part.high[across] - smallest
+            low = part.low[across] + smallest
+            high = part.high[across] - smallest
             places = _free_places(low, high, self._blocked_for(part, across))
             if places:
                 at = self._drawn(places)

@@ -213,7 +213,8 @@ def test_faults_are_in_the_simulator_and_not_in_what_is_told():
 
 
 PLAN = replace(plans_of()[0], max_time=100.0)
-TIME, COVERAGE = np.array([0.0, 10.0, 20.0, 30.0]), np.array([0.1, 0.8, 0.96, 0.99])
+TIME = np.array([0.0, 10.0, 20.0, 30.0])
+COVERAGE = np.array([0.1, 0.8, 0.96, 0.99])
 
 
 def floor():

@@ -62,7 +62,8 @@ def verified(folder, entry, plans):
 
 
 def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
-    folder, seen = tmp_path / "out", []
+    folder = tmp_path / "out"
+    seen = []
     run_all(entry, short_plans[:1], folder, keep=write_kept_run)
     whole = (folder / RESULTS).read_bytes()
     (folder / RESULTS).write_bytes(whole + b'{"plan": 1, "sett')  # killed while it wrote
@@ -108,7 +109,8 @@ def row_of(job):
 
 
 def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
-    folder, seen = tmp_path / "out", []
+    folder = tmp_path / "out"
+    seen = []
     run_all(entry, short_plans[:1], folder)
     kept = (folder / RESULTS).read_bytes()
     with open_store(FORMAT, folder, read_stamp(FORMAT, folder)) as store:

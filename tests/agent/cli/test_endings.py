@@ -32,7 +32,8 @@ class Drives:
 
 def ended(tmp_path, *options, step, numbers, ignored=None):
     """A run whose policy raises signals in a step: its process, and its folder."""
-    policy, folder = tmp_path / "mine.py", tmp_path / "run"
+    policy = tmp_path / "mine.py"
+    folder = tmp_path / "run"
     policy.write_text(POLICY.format(step=step, numbers=[int(number) for number in numbers]))
     told = ["--policy", f"{policy}:Drives", "--preset", "consistent", "--world", "square"]
     command = [sys.executable, "-m", "limslam_agent", "run", *told, "--out", folder, *options]

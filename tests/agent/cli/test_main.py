@@ -282,7 +282,8 @@ def test_the_bias_comes_from_known_motions(carmen_log, tmp_path):
     assert "calibrated  1.146 +- " in result.stdout
     assert "scale 1.0500 +- " in result.stdout
     content = json.loads((tmp_path / "out" / "result.json").read_text())
-    metrics, config = content["metrics"], content["config"]
+    metrics = content["metrics"]
+    config = content["config"]
     assert metrics["calibration_turn_deg_per_m"] == pytest.approx(np.degrees(0.02), abs=1e-6)
     assert (metrics["calibration_relations"], metrics["relations"]) == (7, 3)
     assert metrics["odometry_relation_error_m"] < 0.01 < metrics["raw_odometry_relation_error_m"]
@@ -514,7 +515,8 @@ def test_a_lack_of_memory_is_said_in_one_line(capsys):
 
 
 def test_a_run_with_the_heading_of_an_imu_is_kept_replayed_and_inspected(tmp_path):
-    run, again = tmp_path / "run", tmp_path / "again"
+    run = tmp_path / "run"
+    again = tmp_path / "again"
     told = ("--noise", "0.02", "--max-time", "8", "--imu")
     finished = limslam("run", "--world", "env1", *told, "--out", run)
     assert finished.returncode == 0, finished.stderr

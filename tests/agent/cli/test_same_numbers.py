@@ -21,11 +21,13 @@ def command(*words, cache, folder):
 
 @pytest.mark.slow
 def test_an_empty_cache_and_a_warm_one_give_the_same_estimate(tmp_path):
-    kept, warm = tmp_path / "on_demand", tmp_path / "warm"
+    kept = tmp_path / "on_demand"
+    warm = tmp_path / "warm"
     drive = ("run", "--seed", "1", "--max-time", "120", "--out")
     command(*drive, "first", cache=kept, folder=tmp_path)
     command("warmup", cache=warm, folder=tmp_path)
     command(*drive, "second", cache=warm, folder=tmp_path)
     for name in ("trajectory_est.tum", "trajectory_smoothed.tum", "map.json"):
-        first, second = tmp_path / "first" / name, tmp_path / "second" / name
+        first = tmp_path / "first" / name
+        second = tmp_path / "second" / name
         assert first.read_bytes() == second.read_bytes()

@@ -105,7 +105,8 @@ def test_what_is_missing_or_damaged_is_said_in_one_line(tmp_path, spoil, words):
 
 
 def test_what_is_no_run_and_no_picture_is_refused(tmp_path):
-    folder, out = write_run(tmp_path / "run"), tmp_path / "show.svg"
+    folder = write_run(tmp_path / "run")
+    out = tmp_path / "show.svg"
     assert "no such folder" in refused("show", tmp_path / "nowhere")
     (tmp_path / "file").write_text("")
     assert "is not a folder" in refused("show", tmp_path / "file")
@@ -127,7 +128,8 @@ def test_numbers_of_another_version_do_no_harm(tmp_path):
     folder = write_run(tmp_path / "run", metrics={"ate_m": "small", "landmarks": None, "new": [1]})
     content = json.loads((folder / "result.json").read_text())
     for config in ("none", {"noise": 10**400}):
-        content["seed"], content["config"] = None, config
+        content["seed"] = None
+        content["config"] = config
         (folder / "result.json").write_text(json.dumps(content))
         assert "stopped" in told("show", folder)
 

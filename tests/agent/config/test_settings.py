@@ -97,7 +97,8 @@ def test_every_number_of_the_agent_has_bounds_that_its_default_keeps(name):
 
 @pytest.mark.parametrize("ablation", ABLATIONS)
 def test_an_ablation_changes_one_setting(ablation):
-    before, after = preset("paper"), ablated(preset("paper"), ablation)
+    before = preset("paper")
+    after = ablated(preset("paper"), ablation)
     changed = [
         (name, getattr(new, name))
         for old, new in zip(groups(before), groups(after), strict=True)
@@ -181,7 +182,8 @@ def assert_same(first, second, names=SAME):
     ],
 )
 def test_the_file_of_a_run_repeats_it_to_the_bit(options, tmp_path):
-    first, second = tmp_path / "first", tmp_path / "second"
+    first = tmp_path / "first"
+    second = tmp_path / "second"
     assert limslam("run", "--max-time", "15", *options, "--out", first).returncode == 0
     assert limslam("run", "--config", first / "run.toml", "--out", second).returncode == 0
     assert_same(first, second)
@@ -201,7 +203,8 @@ def test_a_run_with_settings_of_every_kind_is_repeated_by_its_file(tmp_path):
         "[agent.noise]\nrange_std = 0.03\n[agent.policy]\nspeed = "
         "0.1\n[agent.estimator.pending]\nbatch = 20\n"
     )
-    first, second = tmp_path / "first", tmp_path / "second"
+    first = tmp_path / "first"
+    second = tmp_path / "second"
     assert limslam("run", "--config", path, "--out", first).returncode == 0
     assert limslam("run", "--config", first / "run.toml", "--out", second).returncode == 0
     assert_same(
@@ -220,7 +223,8 @@ def test_a_run_in_a_world_of_a_file_can_be_handed_on_and_repeated(tmp_path):
     path = tmp_path / "plans" / "mine.toml"
     path.parent.mkdir()
     path.write_text(world_toml(load_world("square")), encoding="utf-8")
-    first, second = tmp_path / "first", tmp_path / "second"
+    first = tmp_path / "first"
+    second = tmp_path / "second"
     assert (
         limslam(
             "run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first
@@ -255,7 +259,8 @@ def wheel_table(folder):
 
 def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
     log, robot, units = wheel_table(tmp_path)
-    first, second = tmp_path / "first", tmp_path / "second"
+    first = tmp_path / "first"
+    second = tmp_path / "second"
     assert limslam("replay", log, "--robot", robot, *units, "--out", first).returncode == 0
     assert limslam("replay", "--config", first / "run.toml", "--out", second).returncode == 0
     assert_same(first, second, SAME - {"log.npz"})

@@ -27,7 +27,8 @@ from limslam_env.geometry import BoolArray, FloatArray
 # One beam straight ahead from the middle of the body, so that what it crosses can be counted by
 # hand.
 ONE = RobotSpec(radius=0.05, beams=(SensorSpec(0.0, 0.0, 0.0, 0.05, 1.5),))
-YES, NO = np.array([True]), np.array([False])
+YES = np.array([True])
+NO = np.array([False])
 CONFIG = GridConfig(cell=0.1, seen_through=1, hit=4, limit=20)
 
 
@@ -57,7 +58,8 @@ def known(grid: OccupancyGrid) -> dict[tuple[int, int], int]:
 
 @pytest.mark.parametrize("reading", [float(np.float32(0.2)), 0.1])
 def test_a_reading_at_the_minimum_marks_nothing(reading: float) -> None:
-    with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
+    with_it = OccupancyGrid(CONFIG)
+    without = OccupancyGrid(CONFIG)
     beam = RobotSpec(radius=0.05, beams=(SensorSpec(0.3, 0.0, 0.0, 0.2, 1.5),))
     with_it.update(at_centre(0, 0), beam, np.array([reading]), YES)
     without.update(at_centre(0, 0), beam, np.array([reading]), NO)
@@ -172,7 +174,8 @@ def plain_dijkstra(grid: GridView, start: tuple[int, int], radius: float) -> Flo
         cost[cell] = so_far
         for down in (-1, 0, 1):
             for right in (-1, 0, 1):
-                row, column = cell[0] + down, cell[1] + right
+                row = cell[0] + down
+                column = cell[1] + right
                 inside = (down or right) and 0 <= row < rows and 0 <= column < columns
                 # A diagonal step needs both cells beside it; for a straight one these are the
                 # step's own ends.
@@ -316,7 +319,8 @@ def room(columns: int, rows: int) -> GridView:
 
 def walls_of(columns: int, rows: int) -> FloatArray:
     """The walls of such a room, along the outer sides of its free cells."""
-    x, y = CELL * columns, CELL * rows
+    x = CELL * columns
+    y = CELL * rows
     return np.array([[0, 0, x, 0], [x, 0, x, y], [x, y, 0, y], [0, y, 0, 0]], dtype=float)
 
 
@@ -358,9 +362,11 @@ def test_a_room_with_all_its_walls_has_no_unfinished_stretch(columns, rows, erro
 def test_a_missing_part_of_a_wall_is_found(side, start, length, error) -> None:
     columns = rows = 30
     walls = walls_of(columns, rows) + error
-    cut, others = walls[side], np.delete(walls, side, axis=0)
+    cut = walls[side]
+    others = np.delete(walls, side, axis=0)
     along = (cut[2:] - cut[:2]) / 3.0
-    low, high = cut[:2] + start * along, cut[:2] + (start + length) * along
+    low = cut[:2] + start * along
+    high = cut[:2] + (start + length) * along
     found = unfinished(
         room(columns, rows), np.vstack((others, [*cut[:2], *low], [*high, *cut[2:]]))
     )
@@ -398,7 +404,8 @@ def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:
 @pytest.mark.parametrize("place", [(0.05, 0.05), (0.95, 0.05)])
 def test_only_the_ground_that_the_robot_can_reach_counts(place) -> None:
     values = np.full((3, 12), -4, dtype=np.int16)
-    values[1, 1:5], values[1, 7:11] = 2, 2
+    values[1, 1:5] = 2
+    values[1, 7:11] = 2
     ground = reachable_ground(GridView(np.full(2, -CELL), CELL, values), np.array(place))
     assert ground[1, 1:5].all() == (place[0] < 0.5)
     assert ground[1, 7:11].all() == (place[0] > 0.5)

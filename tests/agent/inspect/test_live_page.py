@@ -35,7 +35,9 @@ class Drive:
         self.mapper = Mapper(
             FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), self.log.poses[0]
         )
-        self.follower, self.done, self.steps = Follower(page, steps), 0, steps
+        self.follower = Follower(page, steps)
+        self.done = 0
+        self.steps = steps
 
     def on(self, steps):
         for row in range(self.done, self.done + steps):
@@ -49,7 +51,9 @@ def asked(page, path, host=None):
     connection = http.client.HTTPConnection(place, timeout=30)
     connection.request("GET", path, headers={"Host": place if host is None else host})
     answer = connection.getresponse()
-    status, content, is_over = answer.status, answer.read(), answer.headers.get("X-Over") == "1"
+    status = answer.status
+    content = answer.read()
+    is_over = answer.headers.get("X-Over") == "1"
     connection.close()
     return (
         (status, content.decode(), is_over)

@@ -50,7 +50,8 @@ def test_nees_is_that_of_the_run(run_folder, recording):
 
 def test_readings_are_those_of_the_log(run_folder, recording):
     log, (arrays, meta) = np.load(run_folder / "log.npz"), recording
-    ranges, seen = arrays["ranges"][:, 0], log["ranges"]
+    ranges = arrays["ranges"][:, 0]
+    seen = log["ranges"]
     is_far = seen >= [beam["max"] for beam in meta["beams"]]
     assert (ranges[is_far] == 65535).all()
     assert np.abs(ranges[~is_far] / 1000 - seen[~is_far]).max() < 6e-4
@@ -221,7 +222,9 @@ def kinds_of(view):
 
 @given(st.integers(0, 10_000))
 def test_the_changes_of_a_growing_and_moving_grid_restore_it(seed):
-    draws, changes, cells = np.random.default_rng(seed), GridChanges(), {}
+    draws = np.random.default_rng(seed)
+    changes = GridChanges()
+    cells = {}
     for _ in range(4):
         low = 0.1 * draws.integers(-5, 5, 2)
         values = draws.integers(-2, 3, draws.integers(1, 6, 2)).astype(np.int16)

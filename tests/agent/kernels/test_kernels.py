@@ -18,11 +18,10 @@ from limslam_env.interface import beams_on_rim
 factorise, whiten, solve_factored = (
     entry(each.py_func) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
 )
-add_products, orthonormalise = (
-    entry(covariance.add_products.py_func),
-    entry(algebra.orthonormalise.py_func),
-)
-quantile, sort_with = entry(algebra.quantile.py_func), entry(algebra.sort_with.py_func)
+add_products = entry(covariance.add_products.py_func)
+orthonormalise = entry(algebra.orthonormalise.py_func)
+quantile = entry(algebra.quantile.py_func)
+sort_with = entry(algebra.sort_with.py_func)
 GENERATOR = np.random.default_rng(0)
 
 
@@ -33,8 +32,11 @@ def positive(size: int) -> FloatArray:
 
 @pytest.mark.parametrize("size", [1, 2, 7, 20])
 def test_triangular_systems(size: int) -> None:
-    matrix, values = positive(size), GENERATOR.normal(size=(size, 3))
-    factor, whitened, solved = matrix.copy(), values.copy(), values[:, 0].copy()
+    matrix = positive(size)
+    values = GENERATOR.normal(size=(size, 3))
+    factor = matrix.copy()
+    whitened = values.copy()
+    solved = values[:, 0].copy()
     factorise(factor, size)
     whiten(factor, whitened, size, 3)
     solve_factored(factor, solved, size)
@@ -46,8 +48,11 @@ def test_triangular_systems(size: int) -> None:
 
 @pytest.mark.parametrize("whole", [3, 6])
 def test_a_symmetric_product_is_added_to_a_part_of_a_matrix(whole: int) -> None:
-    matrix, root, weights = positive(23), GENERATOR.normal(size=(8, 19)), GENERATOR.normal(size=8)
-    found, expected = matrix.copy(), matrix.copy()
+    matrix = positive(23)
+    root = GENERATOR.normal(size=(8, 19))
+    weights = GENERATOR.normal(size=8)
+    found = matrix.copy()
+    expected = matrix.copy()
     add_products(found, whole, weights[:, None] * root, root)
     covariance.mirror(found, 19, whole)
     expected[:19, :19] += root.T @ (weights[:, None] * root)
@@ -58,7 +63,8 @@ def test_quantiles_and_sorting() -> None:
     values = np.sort(GENERATOR.normal(size=13))
     for share in (0.0, 0.15, 0.5, 0.85, 1.0):
         assert quantile(values, 13, share) == pytest.approx(np.quantile(values, share), abs=1e-12)
-    keys, follow = np.array([2.0, 1.0, 2.0, 0.0, 1.0]), np.arange(5)
+    keys = np.array([2.0, 1.0, 2.0, 0.0, 1.0])
+    follow = np.arange(5)
     sort_with(keys, follow, 5)
     assert keys.tolist() == [0.0, 1.0, 1.0, 2.0, 2.0]
     assert follow.tolist() == [3, 1, 4, 0, 2]
@@ -115,12 +121,10 @@ def cells_of(points: FloatArray) -> set[tuple[int, int]]:
 
 @pytest.mark.parametrize("robot", [PAPER, DENSE], ids=["paper", "dense"])
 def test_the_grid_is_the_plain_one(robot: RobotSpec) -> None:
-    generator, number, plain, grid = (
-        np.random.default_rng(5),
-        len(robot.beams),
-        PlainGrid(),
-        OccupancyGrid(CONFIG),
-    )
+    generator = np.random.default_rng(5)
+    number = len(robot.beams)
+    plain = PlainGrid()
+    grid = OccupancyGrid(CONFIG)
     for _ in range(60):
         pose = np.array([*generator.normal(0.0, 1.5, 2), generator.uniform(-4.0, 4.0)])
         ranges = np.clip(
@@ -145,7 +149,8 @@ def test_the_grid_is_the_plain_one(robot: RobotSpec) -> None:
 
 
 def test_values_are_limited_and_a_known_cell_is_never_zero() -> None:
-    values, stamps = np.array([[1, -9, 9, 0]], dtype=np.int16), np.zeros((1, 4), dtype=np.int32)
+    values = np.array([[1, -9, 9, 0]], dtype=np.int16)
+    stamps = np.zeros((1, 4), dtype=np.int32)
     cells = np.array(
         [[0, 0, ENDED], [0, 0, CROSSED], [0, 1, ENDED], [0, 2, CROSSED], [0, 3, SKIPPED]]
     )
@@ -154,7 +159,8 @@ def test_values_are_limited_and_a_known_cell_is_never_zero() -> None:
     assert stamps.tolist() == [[1, 1, 1, 0]]
 
 
-ROBOT, SEEDS = RobotSpec(), range(40)
+ROBOT = RobotSpec()
+SEEDS = range(40)
 BEAMS = len(ROBOT.beams)
 
 
@@ -179,9 +185,11 @@ def ends_of(pose: FloatArray, reaches: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("seed", range(5))
 def test_readings_are_placed(seed: int) -> None:
     _, pose, ranges = drawn(seed)
-    seen, touched = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
+    seen = np.empty((BEAMS, 2))
+    touched = np.empty((BEAMS, 2))
     place_readings(pose, ranges, ROBOT.beam_table, 0.4, seen, touched)
-    is_hit, is_near = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far), ranges <= ROBOT.too_near
+    is_hit = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far)
+    is_near = ranges <= ROBOT.too_near
     np.testing.assert_allclose(
         seen, np.where(is_hit[:, None], ends_of(pose, ranges), np.nan), atol=1e-12
     )
@@ -190,7 +198,8 @@ def test_readings_are_placed(seed: int) -> None:
 
 
 def test_the_share_of_a_way_that_is_safe() -> None:
-    shares, found = np.array([1.0, 0.5, 0.25]), set()
+    shares = np.array([1.0, 0.5, 0.25])
+    found = set()
     for seed in SEEDS:
         generator, pose, _ = drawn(seed)
         points = pose[:2] + generator.normal(0.0, 0.2, (8, BEAMS, 2))
@@ -228,11 +237,10 @@ def test_beams_on_another_robot() -> None:
         ranges = np.clip(
             generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges
         )
-        other, root = (
-            pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0]),
-            generator.normal(0.0, 0.1, (9, 9)),
-        )
-        covariance, found = root @ root.T, np.zeros(BEAMS, dtype=bool)
+        other = pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0])
+        root = generator.normal(0.0, 0.1, (9, 9))
+        covariance = root @ root.T
+        found = np.zeros(BEAMS, dtype=bool)
         beams_on_robot(
             pose,
             other,
@@ -246,10 +254,12 @@ def test_beams_on_another_robot() -> None:
             found,
         )
         ends = ends_of(pose, ranges)
-        distance, arms = np.hypot(*(ends - other[:2]).T), ends - pose[:2]
+        distance = np.hypot(*(ends - other[:2]).T)
+        arms = ends - pose[:2]
         toward = (ends - other[:2]) / distance[:, None]
         turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
-        jacobian, columns = np.column_stack((toward, turning, -toward)), [6, 7, 8, 0, 1]
+        jacobian = np.column_stack((toward, turning, -toward))
+        columns = [6, 7, 8, 0, 1]
         variance = np.einsum(
             "ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian
         )

@@ -40,11 +40,9 @@ from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
 from limslam_env.robots import e_puck
 
-U32, I32, I16 = (
-    st.integers(0, 2**32 - 1),
-    st.integers(-(2**31), 2**31 - 1),
-    st.integers(-(2**15), 2**15 - 1),
-)
+U32 = st.integers(0, 2**32 - 1)
+I32 = st.integers(-(2**31), 2**31 - 1)
+I16 = st.integers(-(2**15), 2**15 - 1)
 AMOUNT = st.integers(1, 65535)
 NAMES = st.text("abcXYZ019_.-", min_size=1, max_size=24)
 RANGES = st.lists(st.none() | st.integers(0, NOTHING_SEEN), min_size=1, max_size=MAX_BEAMS).map(
@@ -196,7 +194,8 @@ def test_counters_overflow_and_step_back():
 @given(st.lists(st.binary(max_size=30), max_size=20), st.integers(1, 7))
 def test_lines_do_not_depend_on_how_their_bytes_arrive(parts, size):
     text = b"\n".join(parts) + b"\n"
-    piecewise, at_once = LineBuffer(), LineBuffer()
+    piecewise = LineBuffer()
+    at_once = LineBuffer()
     found = [
         line
         for start in range(0, len(text), size)
@@ -285,7 +284,8 @@ class Robot:
         return bool(self._library.limslam_hear(self._link, line.rstrip(b"\n"), now))
 
     def speeds(self, now):
-        left, right = ctypes.c_int16(), ctypes.c_int16()
+        left = ctypes.c_int16()
+        right = ctypes.c_int16()
         self._library.limslam_speeds(self._link, now, ctypes.byref(left), ctypes.byref(right))
         return left.value, right.value
 
@@ -372,7 +372,9 @@ def test_both_say_the_same_and_turn_the_wheels_alike_whatever_they_hear(library,
     generator = random.Random(seed)  # noqa: S311 (no secret)
     hello = hello_of(generator)
     robots = Firmware(hello), Robot(library, hello)
-    now, seq, heard = generator.choice([0, 2**32 - 3000]), generator.getrandbits(32), 0
+    now = generator.choice([0, 2**32 - 3000])
+    seq = generator.getrandbits(32)
+    heard = 0
     for _ in range(400):
         now = (now + generator.choice([1, 20, 100, 100, 700, 4000])) % 2**32
         for _ in range(generator.randrange(3)):

@@ -58,13 +58,11 @@ class FakePorts:
     """A node without ROS. Each look for messages gives those of the next moment."""
 
     def __init__(self, *moments):
-        self.moments, self.watchdog_stops, self.time, self.driven, self.held = (
-            list(moments),
-            0,
-            0.0,
-            [],
-            0,
-        )
+        self.moments = list(moments)
+        self.watchdog_stops = 0
+        self.time = 0.0
+        self.driven = []
+        self.held = 0
 
     def take(self, timeout):
         self.time += timeout
@@ -92,11 +90,9 @@ def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
 
 
 def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages_lose_no_travel():
-    odometer, pose, wheels = (
-        Odometer(ROBOT, 0.1),
-        np.array([3.0, -1.0, 3.0]),
-        np.array([0.02, 0.03]),
-    )
+    odometer = Odometer(ROBOT, 0.1)
+    pose = np.array([3.0, -1.0, 3.0])
+    wheels = np.array([0.02, 0.03])
     odometer.add_pose(10.0, pose)
     for number in range(1, 11):
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, ROBOT.axle)))
@@ -149,7 +145,8 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
     sensors = ScanSensors(ROBOT, np.array([0.05, 0.0, math.radians(180.0)]))
     ranges = np.full(360, math.inf)
     # The laser looks back: its -90 deg is the left of the robot.
-    ranges[90], ranges[180 + 165] = 0.7, 0.4
+    ranges[90] = 0.7
+    ranges[180 + 165] = 0.4
     (reading,) = sensors.add(0, 5.0, scan(ranges.tolist()))
     assert reading.ranges == (700, NOTHING_SEEN, NOTHING_SEEN, 400, NOTHING_SEEN, NOTHING_SEEN)
     assert reading.time == 5.0
@@ -333,7 +330,8 @@ def test_messages_become_the_telemetry_of_a_session():
 
 
 def test_a_clock_that_was_set_is_a_robot_that_was_switched_on_again():
-    later, earlier = range(8), range(8)
+    later = range(8)
+    earlier = range(8)
     moments = [moment(100.0 + 0.1 * step, 0.0) for step in later] + [
         moment(1.0 + 0.1 * step, 0.0) for step in earlier
     ]

@@ -78,7 +78,8 @@ def finished(process, seconds=120.0):
 
 
 def test_a_robot_in_another_process_explores_pauses_and_drives_home(processes, listener, tmp_path):
-    truth, folder = tmp_path / "truth.txt", tmp_path / "room"
+    truth = tmp_path / "truth.txt"
+    folder = tmp_path / "room"
     robot = ("--speed", 0, "--truth", truth)
     processes("-m", "limslam_agent.live.emulator", "--ros2", *robot)
     live = processes(
@@ -94,7 +95,8 @@ def test_a_robot_in_another_process_explores_pauses_and_drives_home(processes, l
     resume.publish(Bool(data=False))
     wait_for(lambda: listener.heard["status"] and state_of(listener) == "paused", live)
     wait_for(lambda: not is_driving(listener), live)
-    commands, poses = len(listener.heard["cmd_vel"]), len(listener.heard["pose"])
+    commands = len(listener.heard["cmd_vel"])
+    poses = len(listener.heard["pose"])
     wait_for(lambda: len(listener.heard["pose"]) > poses + 20, live)
     assert len(listener.heard["cmd_vel"]) <= commands + 1
     resume.publish(Bool(data=True))
@@ -119,7 +121,8 @@ def check_messages(listener, run):
     assert (len(grid.data), set(grid.data)) == (grid.info.width * grid.info.height, {-1, 0, 100})
     (marker,) = heard["walls"][-1].markers
     assert len(marker.points) >= 4
-    pose, transform = heard["pose"][-1], heard["map_to_odom"][-1]
+    pose = heard["pose"][-1]
+    transform = heard["map_to_odom"][-1]
     assert pose.pose.covariance[0] > 0.0
     assert (transform.header.frame_id, transform.child_frame_id) == ("map", "odom")
     assert math.hypot(pose.pose.pose.position.x, pose.pose.pose.position.y) < 0.2
@@ -132,7 +135,8 @@ def test_a_scan_that_ends_stops_the_wheels_and_ends_the_session(processes, liste
     from limslam_agent.live.ros2.node import make
     from limslam_agent.output.formats.ros_builder import MessageBuilder
 
-    build, folder = MessageBuilder(make), tmp_path / "room"
+    build = MessageBuilder(make)
+    folder = tmp_path / "room"
     odom = listener.publisher("nav_msgs/msg/Odometry", "odom")
     scan = listener.publisher("sensor_msgs/msg/LaserScan", "scan")
     live = processes(*LIVE, "--patience", 3, "--out", folder)
@@ -164,7 +168,9 @@ def test_a_scan_that_ends_stops_the_wheels_and_ends_the_session(processes, liste
 
 def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_path):
     pytest.importorskip("rosbags", reason="needs the extra ros (rosbags)")
-    run, bag, folder = tmp_path / "run", tmp_path / "bag", tmp_path / "room"
+    run = tmp_path / "run"
+    bag = tmp_path / "bag"
+    folder = tmp_path / "room"
     told = ("--noise", 0.02, "--seed", 4, "--max-time", 40, "--preset", "consistent", "--out", run)
     assert limslam("run", *told).returncode == 0
     assert limslam("export", run, "--bag", "--out", tmp_path).returncode == 0
@@ -174,7 +180,8 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
     )
     finished(live)
     assert not any(each.linear.x or each.angular.z for each in listener.heard["cmd_vel"])
-    original, heard = read_log(run / "log.npz"), read_log(folder / "log.npz")
+    original = read_log(run / "log.npz")
+    heard = read_log(folder / "log.npz")
     # Messages of the beginning are lost, since topics are found one after the other, and a busy
     # computer loses more: the first row is the one from which all that was heard agrees best.
     since = np.round(heard.time / 0.1).astype(int)
@@ -192,6 +199,7 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
         (sums := np.cumsum(original.wheels, axis=0))[rows] - sums[first],
         atol=1e-4,
     )
-    true, estimated = original.true_pose[rows], read_run(folder).estimated[0]
+    true = original.true_pose[rows]
+    estimated = read_run(folder).estimated[0]
     errors = estimated - se2.between(np.broadcast_to(true[0], true.shape), true)
     assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.1

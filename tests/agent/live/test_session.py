@@ -35,7 +35,8 @@ FIGURES = (
 class Drive:
     """A policy that always drives at the same wheel speeds."""
 
-    stop_reason, plan = None, np.zeros((0, 2))
+    stop_reason = None
+    plan = np.zeros((0, 2))
 
     def __init__(self, left, right):
         self._wheels = np.array([left, right])
@@ -291,7 +292,9 @@ def kill_after(process, truth, seconds):
 
 
 def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tmp_path):
-    port, truth, folder = free_port(), tmp_path / "truth.txt", tmp_path / "room"
+    port = free_port()
+    truth = tmp_path / "truth.txt"
+    folder = tmp_path / "room"
     process, _ = emulator("--udp", port, "--truth", truth)
     kill_after(process, truth, 20)
     told = ("--preset", "consistent", "--patience", 5, "--out", folder)
@@ -390,7 +393,8 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, t
 )
 def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
 
-    port, done = free_port(), threading.Event()
+    port = free_port()
+    done = threading.Event()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
 
         def greet():
@@ -410,7 +414,8 @@ def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
 
 
 def test_a_robot_is_driven_only_if_it_says_the_token(emulator, tmp_path):
-    port, folder = free_port(), tmp_path / "room"
+    port = free_port()
+    folder = tmp_path / "room"
     told = ("--preset", "consistent", "--max-time", 3, "--token", "our-word", "--out", folder)
     emulator("--udp", port)
     refused = limslam("live", "--udp", port, *told, "--patience", 3)
@@ -425,7 +430,8 @@ def test_a_robot_is_driven_only_if_it_says_the_token(emulator, tmp_path):
 
 
 def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_path):
-    port, policy = free_port(), tmp_path / "mine.py"
+    port = free_port()
+    policy = tmp_path / "mine.py"
     policy.write_text(
         "import numpy as np\n"
         "class Fails:\n"
@@ -445,7 +451,9 @@ def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_pat
 
 
 def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
-    port, policy, folder = free_port(), tmp_path / "mine.py", tmp_path / "room"
+    port = free_port()
+    policy = tmp_path / "mine.py"
+    folder = tmp_path / "room"
     policy.write_text(
         "import signal\nimport numpy as np\n"
         "class Presses:\n"
@@ -477,7 +485,9 @@ os.execv(sys.executable, [sys.executable, "-m", "limslam_agent", *sys.argv[1:]])
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGHUP")
 def test_a_terminal_that_is_closed_stops_the_robot_and_keeps_its_whole_log(emulator, tmp_path):
-    port, policy, sign = free_port(), tmp_path / "mine.py", tmp_path / "sign"
+    port = free_port()
+    policy = tmp_path / "mine.py"
+    sign = tmp_path / "sign"
     policy.write_text(
         "from pathlib import Path\nimport numpy as np\n"
         "class Drives:\n"

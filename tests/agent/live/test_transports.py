@@ -13,7 +13,9 @@ from limslam_agent.live.protocol import Hello, Stop, Telemetry, encode
 from limslam_agent.live.transports import SILENT_AFTER, Seat, UdpTransport
 
 WORD = "our-word"
-FIRST, SECOND, FAR = ("127.0.0.1", 5001), ("127.0.0.1", 5002), ("192.168.1.7", 5001)
+FIRST = ("127.0.0.1", 5001)
+SECOND = ("127.0.0.1", 5002)
+FAR = ("192.168.1.7", 5001)
 
 
 def hello(name="paper", boot=7, version=2, token=None):

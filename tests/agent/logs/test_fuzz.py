@@ -5,7 +5,8 @@
 import pytest
 from support.fuzz import fuzz, targets
 
-COUNT, LONG_COUNT = 300, 10_000
+COUNT = 300
+LONG_COUNT = 10_000
 
 
 @pytest.mark.parametrize("target", targets(), ids=lambda target: target.name)

@@ -9,7 +9,8 @@ from limslam_agent import read_log
 from limslam_agent.logs.recorded_log import write_npz
 from limslam_env import RobotSpec
 
-ROBOT, STEPS = RobotSpec(), 200
+ROBOT = RobotSpec()
+STEPS = 200
 
 
 def log_with(path, yaw, turning=0.004):

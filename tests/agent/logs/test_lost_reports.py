@@ -8,7 +8,8 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
 from limslam_env import RobotSpec
 
-COUNT, ROBOT = 400, RobotSpec()
+COUNT = 400
+ROBOT = RobotSpec()
 TIME = 0.1 * np.arange(COUNT)
 # Speeds that change at random times, as those of a robot that drives and turns
 TURNS = np.random.default_rng(3).choice([-0.02, 0.0, 0.0, 0.02], COUNT // 20).repeat(20)
@@ -45,7 +46,8 @@ def test_reports_that_are_missing_or_impossibly_0_are_taken_from_the_speeds_arou
 
 
 def test_a_robot_that_stops_and_an_encoder_with_long_ticks_report_0_rightly():
-    stops, ticks = WHEELS.copy(), np.full((COUNT, 2), 0.03)
+    stops = WHEELS.copy()
+    ticks = np.full((COUNT, 2), 0.03)
     stops[50:80] = stops[120] = 0.0
     ticks[::3] = 0.0
     for wheels in (WHEELS, stops, ticks):

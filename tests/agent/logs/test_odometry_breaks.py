@@ -96,7 +96,8 @@ def test_poses_of_another_program_that_are_mixed_in_are_replaced():
 
 
 def test_a_pause_in_which_odometry_counts_on_is_no_break():
-    poses, rows = winding(), np.r_[0:100, 160:COUNT]
+    poses = winding()
+    rows = np.r_[0:100, 160:COUNT]
     assert as_log(poses[rows], TIME[rows]).breaks == ()
 
 
@@ -121,7 +122,8 @@ def test_few_poses_say_nothing_about_what_is_usual():
 def test_wheels_that_are_not_counted_for_a_while_are_named():
     wheels = np.full((COUNT, 2), 0.02)
     time = np.concatenate((TIME[:100], TIME[100:] + 4.0))
-    ranges, scans = np.ones((COUNT, 6)), np.ones(COUNT, dtype=bool)
+    ranges = np.ones((COUNT, 6))
+    scans = np.ones(COUNT, dtype=bool)
     log = RecordedLog(RobotSpec(), time, ranges, scans, wheels=wheels)
     (warning,) = [each for each in log_warnings(log) if "gap" in each]
     assert "has a gap of 4.1 s at 9.9 s, over 0.02 m" in warning

@@ -77,14 +77,16 @@ def test_files_that_hold_no_relations_are_refused(tmp_path: Path) -> None:
 
 
 def matrix(pose: FloatArray) -> FloatArray:
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
     return np.array([[cos, -sin, pose[0]], [sin, cos, pose[1]], [0.0, 0.0, 1.0]])
 
 
 def test_a_case_worked_by_hand() -> None:
     # Ahead 2 m, then a left turn on the spot. The relation says: 2 m ahead, 0.5 m to the left,
     # turned by 80 degrees.
-    time, poses = np.array([0.0, 10.0]), np.array([[1.0, 1.0, HALF], [1.0, 3.0, math.pi]])
+    time = np.array([0.0, 10.0])
+    poses = np.array([[1.0, 1.0, HALF], [1.0, 3.0, math.pi]])
     known = relations((0.0, 10.0, 2.0, 0.5, math.radians(80.0)))
     errors = relation_errors(known, time, poses)
     assert errors.translation == pytest.approx([0.5])
@@ -97,7 +99,8 @@ def test_a_case_worked_by_hand() -> None:
 
 
 def test_the_pose_within_a_tenth_of_a_second_is_taken_as_it_is() -> None:
-    time, poses = np.array([0.0, 1.0, 2.0]), np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 0, 0]])
+    time = np.array([0.0, 1.0, 2.0])
+    poses = np.array([[0.0, 0, 0], [1.0, 0, 0], [5.0, 0, 0]])
     errors = relation_errors(
         relations((0.09, 1.92, 5.0, 0.0, 0.0), (0.0, 1.05, 1.0, 0.0, 0.0)), time, poses
     )
@@ -118,10 +121,8 @@ def test_between_poses_the_earlier_one_is_moved_on_by_odometry() -> None:
 
 
 def test_times_may_step_back() -> None:
-    time, poses = (
-        np.array([0.0, 2.0, 1.0, 3.0]),
-        np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]]),
-    )
+    time = np.array([0.0, 2.0, 1.0, 3.0])
+    poses = np.array([[0.0, 0, 0], [2.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]])
     errors = relation_errors(
         relations((1.0, 2.0, 1.0, 0.0, 0.0), (0.5, 1.5, 1.0, 0.0, 0.0)), time, poses, poses
     )
@@ -129,7 +130,8 @@ def test_times_may_step_back() -> None:
 
 
 def test_relations_outside_the_log_are_left_out_and_counted() -> None:
-    time, poses = np.array([10.0, 20.0]), np.array([[0.0, 0, 0], [1.0, 0, 0]])
+    time = np.array([10.0, 20.0])
+    poses = np.array([[0.0, 0, 0], [1.0, 0, 0]])
     known = relations(
         (9.1, 20.9, 1.0, 0.0, 0.0),
         (8.9, 20.0, 1.0, 0.0, 0.0),

@@ -299,7 +299,8 @@ def test_odometry_may_be_a_transform(tmp_path, kind):
     seen = [each for each in drive(frame="laser") if each.topic == "/scan"]
     body = ("base_footprint", "base_link", 0.0, 0.0, 0.0, 0.0)
     for step in range(11):
-        at, x = 10.0 + 0.1 * step, 0.1 * step
+        at = 10.0 + 0.1 * step
+        x = 0.1 * step
         moving = (
             ("odom", "base_footprint", x, 0.0, 0.0, 0.0),
             body,
@@ -459,10 +460,8 @@ def test_directions_in_names(name, expected):
 @pytest.mark.parametrize(("name", "events"), [("olsson-3loop", 3816), ("olsson-demo", 3430)])
 def test_a_drones_bag_agrees_with_its_numbers_as_text(name, events):
     folder = data_folder() / "crazyflie"
-    bag, text = (
-        read_log(folder / f"{name}.bag", None, 2.0),
-        read_log(folder / f"{name}.csv.gz", None, 2.0),
-    )
+    bag = read_log(folder / f"{name}.bag", None, 2.0)
+    text = read_log(folder / f"{name}.csv.gz", None, 2.0)
     assert len(bag) == events
     np.testing.assert_allclose(degrees(bag), [-90.0, 0.0, 90.0, 180.0], atol=1e-9)
     first = len(text) - events - 1  # the text begins before the first position
@@ -475,7 +474,8 @@ def test_a_drones_bag_agrees_with_its_numbers_as_text(name, events):
 
 
 def test_a_drones_arrays_are_told_by_their_topics(tmp_path):
-    ranger, position = "/cf/state_ranger_qxyzw", "/cf/state_xyzv"
+    ranger = "/cf/state_ranger_qxyzw"
+    position = "/cf/state_xyzv"
     messages = []
     for step in range(5):
         at = 10.0 + 0.1 * step

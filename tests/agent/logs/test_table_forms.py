@@ -18,7 +18,9 @@ from limslam_env.interface import beams_on_rim
 
 DIRECTIONS = (90.0, 45.0, -45.0, -90.0)
 ROBOT = RobotSpec(radius=0.06, axle=0.12, beams=beams_on_rim(DIRECTIONS, 0.06, max_range=2.0))
-COUNT, PERIOD, WHEEL_RADIUS = 120, 0.1, 0.03
+COUNT = 120
+PERIOD = 0.1
+WHEEL_RADIUS = 0.03
 STEPS = np.arange(COUNT)
 TIME = PERIOD * STEPS
 LEFT = np.where(STEPS == 0, 0.0, 0.012 + 0.008 * np.sin(0.05 * STEPS))
@@ -261,7 +263,8 @@ def test_a_heading_beside_wheels_is_read_in_its_unit_and_counter_clockwise(write
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_heading_that_was_calculated_from_the_wheels_is_no_measurement(write, sign):
     count = 1200
-    left, right = np.full(count, 0.010), np.full(count, 0.013)
+    left = np.full(count, 0.010)
+    right = np.full(count, 0.013)
     turned = np.cumsum((right - left) / ROBOT.axle)
     slip = np.radians(3.0) * (np.arange(count) > count // 2)
 
@@ -272,7 +275,8 @@ def test_a_heading_that_was_calculated_from_the_wheels_is_no_measurement(write, 
         text = "\n".join(["t,left,right,yaw,r_90", *lines]) + "\n"
         return read_log(write(text), table=TableOptions(ROBOT, angle_unit="deg"))
 
-    calculated, measured = read(turned), read(turned - slip)
+    calculated = read(turned)
+    measured = read(turned - slip)
     assert calculated.yaw is None
     assert "never differs from that of the wheels" in calculated.notes[0]
     assert measured.yaw is not None

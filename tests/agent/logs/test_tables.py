@@ -461,7 +461,8 @@ def zone_readings(pose, zones, width=1.0):
 
 
 def test_zones_of_perpendicular_distances_give_the_walls_that_they_measured(write):
-    places, axes = {90: (0.03, 0.05), -90: (0.03, -0.05)}, (90.0, -90.0)
+    places = {90: (0.03, 0.05), -90: (0.03, -0.05)}
+    axes = (90.0, -90.0)
     zones = [
         (places[axis], axis, axis + off)
         for axis in (90, -90)

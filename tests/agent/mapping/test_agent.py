@@ -30,7 +30,8 @@ def recording() -> Recording:
     start = info["pose"].copy()
     agent = LimSlamAgent(ROBOT, CONFIG)
     agent.reset(start)
-    seen, actions = [], []
+    seen = []
+    actions = []
     for _ in range(STEPS):
         seen.append(observation)
         actions.append(np.array(agent.act(observation)))
@@ -97,7 +98,8 @@ raise SystemExit(f"loaded after all: {loaded}" if loaded else 0)
 
 def test_it_acts_where_there_is_no_physics_to_import(recording: Recording, tmp_path: Path) -> None:
     start, observations, actions = recording
-    log, answer = tmp_path / "log.npz", tmp_path / "actions.npy"
+    log = tmp_path / "log.npz"
+    answer = tmp_path / "actions.npy"
     np.savez(
         log,
         start=start,
@@ -139,10 +141,8 @@ def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(
     recording: Recording,
 ) -> None:
     agent = after(recording)
-    snapshot, before = (
-        agent.snapshot(),
-        {k: np.array(v) for k, v in arrays_of(agent.snapshot()).items()},
-    )
+    snapshot = agent.snapshot()
+    before = {k: np.array(v) for k, v in arrays_of(agent.snapshot()).items()}
     for array in arrays_of(snapshot).values():
         if array.flags.writeable:
             np.add(array, 3, out=array)

@@ -49,7 +49,8 @@ def assert_same_grid(grid, other):
 
 def test_a_mapper_believes_what_the_team_believes_that_heard_the_same(drive):
     starts, observations, team = drive
-    mapper, snapshot = mapped(starts, observations), team.snapshot()
+    mapper = mapped(starts, observations)
+    snapshot = team.snapshot()
     assert len(mapper.beliefs) == 2
     for number, belief in enumerate(mapper.beliefs):
         np.testing.assert_array_equal(belief.pose, snapshot.poses[number])
@@ -79,7 +80,9 @@ def test_odometry_is_the_composition_of_the_increments_whatever_the_slam_correct
 def test_beliefs_odometry_and_grid_keep_their_moment(drive):
     start, steps = first_robot(drive)
     mapper = mapped(start, steps[:100])
-    belief, odometry, grid = mapper.belief, mapper.odometry, mapper.grid
+    belief = mapper.belief
+    odometry = mapper.odometry
+    grid = mapper.grid
     arrays = [
         belief.pose,
         belief.covariance,
@@ -141,7 +144,8 @@ def test_a_bad_start_pose_is_refused_in_one_line(start, message):
 def test_a_refused_observation_changes_nothing(observations, drive):
     start, steps = first_robot(drive)
     mapper = mapped(start, steps[:50])
-    before, odometry = mapper.belief, mapper.odometry
+    before = mapper.belief
+    odometry = mapper.odometry
     with pytest.raises(ValueError, match=r"observation|wheels|ranges") as refusal:
         mapper.step(*observations)
     assert "\n" not in str(refusal.value)
@@ -178,7 +182,8 @@ def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(
     drive, monkeypatch, ratio, restarts
 ):
     start, steps = first_robot(drive)
-    mapper, begun = mapped(start, steps[:20], preset("graph", NOISE)), []
+    mapper = mapped(start, steps[:20], preset("graph", NOISE))
+    begun = []
     mapper.slam.assume(mapper.slam.sensor._replace(std=ratio * mapper.slam.sensor.std))
     monkeypatch.setattr(mapper, "_restart", lambda: begun.append(None))
     for observations in steps[20:23]:
@@ -244,7 +249,8 @@ def test_a_motion_that_is_merely_finite_is_refused(name, motion):
 @pytest.mark.parametrize("name", ["paper", "consistent"])
 @pytest.mark.parametrize("has_ranges", [True, False])
 def test_an_estimate_that_leaves_all_bounds_ends_in_one_line(name, has_ranges):
-    mapper, told = Mapper(ROBOT, preset(name, NOISE)), {"odometry": np.array([1000.0, 0.0, 0.0])}
+    mapper = Mapper(ROBOT, preset(name, NOISE))
+    told = {"odometry": np.array([1000.0, 0.0, 0.0])}
     if has_ranges:
         told["ranges"] = RANGES
 

@@ -46,12 +46,10 @@ def driven(settings, told):
     it was renewed.
     """
     slam = LineSlam(ROBOT, settings, START)
-    renewal, poses, covariances, renewed = (
-        Renewal(slam, settings, OccupancyGrid(settings.grid)),
-        [],
-        [],
-        [],
-    )
+    renewal = Renewal(slam, settings, OccupancyGrid(settings.grid))
+    poses = []
+    covariances = []
+    renewed = []
     for step, observation in enumerate(told):
         slam.step(observation)
         if renewal.is_possible:

@@ -68,7 +68,8 @@ def test_a_team_explores_together_without_touching():
 
 
 def test_the_policies_of_a_team_keep_what_they_know_when_their_map_is_moved():
-    team, seen = LimSlamTeam(ROBOT), {"ranges": ROBOT.max_ranges, "wheels": np.zeros(2)}
+    team = LimSlamTeam(ROBOT)
+    seen = {"ranges": ROBOT.max_ranges, "wheels": np.zeros(2)}
     team.act(dict.fromkeys(team.names, seen))
     before = list(team.policies)
     team.mapper.frame += 1

@@ -94,7 +94,8 @@ def explored(tmp_path_factory):
 
 
 def test_the_map_of_a_run_is_drawn_from_the_smoothed_path_and_leaves_doors_open(explored):
-    final, online = explored.content("map.json"), explored.content("map_online.json")
+    final = explored.content("map.json")
+    online = explored.content("map_online.json")
     assert final["segments"] != online["segments"]
     assert all(np.linalg.eigvalsh(mark["cov"]).min() > 0.0 for mark in final["landmarks"])
     assert explored.metrics["doors_open"] == 1.0

@@ -31,10 +31,8 @@ def team_folder(tmp_path_factory):
 
 def test_the_table_of_readings_is_the_log_of_the_run(folder, tmp_path):
     run_export(folder, "--csv", "--out", tmp_path)
-    original, table = (
-        read_log(folder / "log.npz"),
-        np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1),
-    )
+    original = read_log(folder / "log.npz")
+    table = np.loadtxt(tmp_path / "log.csv", delimiter=",", skiprows=1)
     assert (
         (tmp_path / "log.csv")
         .read_text()
@@ -49,10 +47,8 @@ def test_the_table_of_readings_is_the_log_of_the_run(folder, tmp_path):
 
 def test_tables_of_poses_and_walls(folder, tmp_path):
     run_export(folder, "--csv", "--out", tmp_path)
-    done, poses = (
-        Folder(folder),
-        np.genfromtxt(tmp_path / "trajectories.csv", delimiter=",", names=True),
-    )
+    done = Folder(folder)
+    poses = np.genfromtxt(tmp_path / "trajectories.csv", delimiter=",", names=True)
     np.testing.assert_allclose(poses["estimated_x"], done.poses("est")[:, 0])
     np.testing.assert_allclose(
         poses["smoothed_std_theta"] ** 2,
@@ -67,7 +63,8 @@ def test_tables_of_poses_and_walls(folder, tmp_path):
 def test_dxf_is_read_by_ezdxf(folder, tmp_path):
     ezdxf = pytest.importorskip("ezdxf")
     run_export(folder, "--dxf", "--out", tmp_path)
-    drawing, done = ezdxf.readfile(tmp_path / "map.dxf"), Folder(folder)
+    drawing = ezdxf.readfile(tmp_path / "map.dxf")
+    done = Folder(folder)
     assert drawing.units == ezdxf.units.M
     assert not drawing.audit().has_errors
     walls = [
@@ -84,13 +81,15 @@ def test_dxf_is_read_by_ezdxf(folder, tmp_path):
 def test_a_bag_is_replayed_as_the_run(folder, tmp_path):
     pytest.importorskip("rosbags")
     run_export(folder, "--bag", "--out", tmp_path)
-    replayed, original = read_log(tmp_path / "bag"), read_log(folder / "log.npz")
+    replayed = read_log(tmp_path / "bag")
+    original = read_log(folder / "log.npz")
     np.testing.assert_allclose(replayed.odometry, Folder(folder).poses("odometry"), atol=1e-6)
     by_angle = np.argsort([beam.angle for beam in replayed.robot.beams])
     ours = np.argsort([beam.angle for beam in original.robot.beams])
     np.testing.assert_allclose(replayed.ranges[:, by_angle], original.ranges[:, ours], atol=1e-6)
     for seen, true in zip(by_angle, ours, strict=True):
-        beam, wanted = replayed.robot.beams[seen], original.robot.beams[true]
+        beam = replayed.robot.beams[seen]
+        wanted = original.robot.beams[true]
         assert (beam.x, beam.y, beam.angle) == pytest.approx(
             (wanted.x, wanted.y, wanted.angle), abs=1e-9
         )
@@ -102,7 +101,8 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
     from mcap_ros2.decoder import DecoderFactory
 
     run_export(folder, "--bag", "--out", tmp_path)
-    done, heard = Folder(folder), {}
+    done = Folder(folder)
+    heard = {}
     with (tmp_path / "bag" / "bag.mcap").open("rb") as file:
         for _, channel, _, message in make_reader(
             file, decoder_factories=[DecoderFactory()]

@@ -57,7 +57,8 @@ def test_two_robots_become_a_team(episode):
     assert (episode.levels[before, 0] == 0).mean() > 0.9
     # The start of the second robot is uncertain in the shared frame, and its error is as large as
     # it says.
-    start, covariance = np.array(event["start"]) - episode.true[0, 1], episode.covariances[0, 1]
+    start = np.array(event["start"]) - episode.true[0, 1]
+    covariance = episode.covariances[0, 1]
     start[2] = se2.wrap_angle(start[2])
     assert start @ np.linalg.solve(covariance, start) < 16.3, (
         "the 99.9 % limit of three degrees of freedom"

@@ -163,10 +163,13 @@ def test_readings_that_say_nothing_have_no_ray():
 def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
     cells = np.random.default_rng(7).normal(size=(2, 100, 140)).astype(np.float32)
     fields = np.ascontiguousarray(cells.reshape(2, 50, 2, 70, 2).transpose(0, 2, 4, 1, 3))
-    rays, turns = rays_of(drive(PART, HALL), ROBOT)[:40], np.array([0.4, -2.0])
-    middle, scores = rays[:, :RAY_TO_X].mean(axis=0), np.empty((2, 50, 70), dtype=np.float32)
+    rays = rays_of(drive(PART, HALL), ROBOT)[:40]
+    turns = np.array([0.4, -2.0])
+    middle = rays[:, :RAY_TO_X].mean(axis=0)
+    scores = np.empty((2, 50, 70), dtype=np.float32)
     scan_poses(turns, rays, middle, fields, 0.05, np.empty(rays.shape, dtype=np.int64), scores)
-    lengths, ended = rays[:, RAY_LENGTH], rays[:, RAY_LENGTH] < rays[:, RAY_REACH]
+    lengths = rays[:, RAY_LENGTH]
+    ended = rays[:, RAY_LENGTH] < rays[:, RAY_REACH]
     inner = np.where(ended, np.maximum(lengths - 0.2, 0.0), lengths)
     assert 0 < ended.sum() < len(rays)
     for number, turn in enumerate(turns):
@@ -187,14 +190,16 @@ def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
 
 
 MATCH = np.diag([0.05, 0.05, 0.03]) ** 2
-POSE, DRIFT = np.array([2.5, 1.0, 0.4]), np.array([1.2, -0.8, 0.06])
+POSE = np.array([2.5, 1.0, 0.4])
+DRIFT = np.array([1.2, -0.8, 0.06])
 NEAR = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
 AWAY = np.array([[8, 0, 8, 3], [8, 3, 12, 3], [12, 3, 12, 0]], dtype=float)
 
 
 def walls_of(segments):
     """Lines (m, 2) about the middles of walls, these middles, and the walls with their extents."""
-    middles, walls = 0.5 * (segments[:, :2] + segments[:, 2:]), []
+    middles = 0.5 * (segments[:, :2] + segments[:, 2:])
+    walls = []
     lines = np.column_stack(
         (np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1]))
     )
@@ -236,7 +241,8 @@ def drifted(stds, world=0.0):
 
 
 def test_a_loop_moves_what_was_seen_since_the_robot_left():
-    state, right = drifted([1.0, 1.0, 0.1]), walls_of(AWAY)
+    state = drifted([1.0, 1.0, 0.1])
+    right = walls_of(AWAY)
     after, motions = state.closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0])
     np.testing.assert_allclose(after.pose, POSE, atol=0.02)
     np.testing.assert_allclose(after.lines[: len(NEAR)], state.lines[: len(NEAR)], atol=1e-3)
@@ -271,7 +277,8 @@ def test_a_pose_that_the_covariance_does_not_explain_closes_no_loop():
 
 def test_cells_move_with_the_nearest_wall():
     values = np.zeros((20, 60), dtype=np.int16)
-    values[5, 10], values[5, 50] = -3, 7
+    values[5, 10] = -3
+    values[5, 50] = 7
     grid = OccupancyGrid.of(GridView(np.zeros(2), 0.1, values), GridConfig())
     grid.bend(np.array([[1.0, 0.5], [5.0, 0.5]]), np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.0]]))
     found = grid.view.values_at(np.array([[1.05, 0.55], [5.05, 0.55], [5.35, 0.35]]))
@@ -285,7 +292,8 @@ WORLD = np.diag([0.8, 0.6, 0.0]) ** 2  # covariance of the whole room in the wor
 
 def room_in_an_uncertain_world(count):
     """A filter, and its map of the first walls of a room."""
-    ekf, walls = CloneEKF(np.array([9.0, 9.0, 0.0]), np.diag([0.01] * 3)), []
+    ekf = CloneEKF(np.array([9.0, 9.0, 0.0]), np.diag([0.01] * 3))
+    walls = []
     for number, (segment, line) in enumerate(zip(ROOM[:count], LINES, strict=False)):
         points, _ = segment_geometry.sample(segment[None], 0.05)
         middle = points.mean(axis=0)

@@ -26,8 +26,10 @@ from limslam_agent.status.status import Status
 from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
 
-NOISE, KIDNAPPED = 0.02, 90.0
-LOST, UNSURE = 2, 1
+NOISE = 0.02
+KIDNAPPED = 90.0
+LOST = 2
+UNSURE = 1
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +44,8 @@ def errors(poses, true):
 
 
 def test_a_kidnapped_robot_finds_its_place(episode):
-    carried, level = round(KIDNAPPED / 0.1), episode.levels[:, 0]
+    carried = round(KIDNAPPED / 0.1)
+    level = episode.levels[:, 0]
     lost = np.flatnonzero(level == LOST)
     assert carried < lost[0] < carried + 120
     found = lost[-1] + 1
@@ -99,7 +102,8 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monk
     assert episode.places.records[-1]["event"] == "not found"
     write_episode(tmp_path, episode)
     assert json.loads((tmp_path / "map_unplaced.json").read_text())["frame"] == "local"
-    before, after = episode.places.unplaced.begin - 20, -1
+    before = episode.places.unplaced.begin - 20
+    after = -1
     assert errors(episode.smoothed.poses, episode.true)[:before].max() < 0.2
     np.testing.assert_array_equal(episode.smoothed.poses[after], episode.estimated[after])
     std = np.sqrt(np.trace(episode.snapshot.covariances[0, :2, :2]))
@@ -120,11 +124,14 @@ def test_a_world_without_another_place_is_refused(tmp_path):
 
 
 def test_a_carried_robot_came_to_where_it_was_found_and_one_that_has_slipped_is_near():
-    wheels, ranges = np.full((5, 1, 2), 0.1), np.full((5, 1, 6), 2.0)
+    wheels = np.full((5, 1, 2), 0.1)
+    ranges = np.full((5, 1, 6), 2.0)
     poses = np.array([[0.1 * x, 0.0, 0.0] for x in range(3)] + [[2.0, 3.0, 2.9], [2.0, 3.1, 2.9]])[
         :, None
     ]
-    certain, robot, noise = np.zeros((5, 1, 3, 3)), RobotSpec(), NominalNoise(NOISE)
+    certain = np.zeros((5, 1, 3, 3))
+    robot = RobotSpec()
+    noise = NominalNoise(NOISE)
     run = FilteredRun(
         robot, noise, wheels, ranges, np.isfinite(ranges), poses, certain, [], [], breaks=((0, 3),)
     )
@@ -162,9 +169,11 @@ def test_a_carried_robot_came_to_where_it_was_found_and_one_that_has_slipped_is_
 def test_a_robot_that_has_slipped_goes_on_near_by(step, turn):
     """The wheels do not report a turn in the second of two laps."""
     walls = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
-    lap, generator = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)], np.random.default_rng(0)
+    lap = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
+    generator = np.random.default_rng(0)
     observations, true = drive(walls, np.zeros(3), along([*lap, *lap, (0.0, 0.0)]))
-    mapper, off = Mapper(ROBOT, preset("graph", NominalNoise(NOISE))), []
+    mapper = Mapper(ROBOT, preset("graph", NominalNoise(NOISE)))
+    off = []
     for number, seen in enumerate(observations[: step + 200]):
         slip = 0.5 * ROBOT.axle * np.radians(turn) * np.array([1.0, -1.0]) * (number == step)
         noise = np.where(
@@ -243,7 +252,8 @@ def test_a_robot_that_is_lost_for_long_keeps_its_latest_map(episode, monkeypatch
         wheels = episode.wheels[number, 0] + (2.0 if number == 390 else 0.0)
         mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
     assert mapper.statuses[0].level == "lost"
-    lost_in, frame = mapper.map_number, mapper.frame
+    lost_in = mapper.map_number
+    frame = mapper.frame
     standing(mapper, episode.ranges[399, 0], 1000)
     assert [event["event"] for event in mapper.places.records] == ["lost", "given up"]
     assert mapper.statuses[0] == mapper.places.doubt == Status("unsure", GIVEN_UP)
@@ -263,7 +273,8 @@ def test_a_robot_whose_place_is_not_confirmed_for_long_stays_there(episode, monk
         mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
         if mapper.statuses[0] == Status("unsure", NOT_CONFIRMED):
             break
-    pose, events = mapper.poses[0], [event["event"] for event in mapper.places.records]
+    pose = mapper.poses[0]
+    events = [event["event"] for event in mapper.places.records]
     assert events[-1] == "found"
     standing(mapper, episode.ranges[number, 0], 1200)
     assert [event["event"] for event in mapper.places.records] == events
@@ -278,11 +289,9 @@ def test_a_robot_whose_place_is_not_confirmed_for_long_stays_there(episode, monk
 
 def test_a_robot_that_is_carried_while_it_is_lost_may_have_been_carried_before_that():
     config = preset("graph", NominalNoise(NOISE))
-    slam, grid, recovery = (
-        LineSlam(ROBOT, config),
-        OccupancyGrid(config.grid),
-        Recovery(ROBOT, config),
-    )
+    slam = LineSlam(ROBOT, config)
+    grid = OccupancyGrid(config.grid)
+    recovery = Recovery(ROBOT, config)
     for _ in range(5):
         recovery.note(Sight(np.zeros(3), ROBOT.max_ranges), slam, grid)
     recovery.lose(Loss(CARRIED, 1), 0.0, slam, grid)

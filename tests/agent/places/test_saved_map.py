@@ -25,7 +25,8 @@ def map_of(world):
     """A map as an earlier run would have left it: all walls, and the ground that a robot can
     reach.
     """
-    segments, marks = world.edges, []
+    segments = world.edges
+    marks = []
     for number, (x1, y1, x2, y2) in enumerate(segments):
         theta = np.arctan2(x1 - x2, y2 - y1)
         r = x1 * np.cos(theta) + y1 * np.sin(theta)
@@ -34,10 +35,8 @@ def map_of(world):
         marks.append(
             Landmark(float(r), float(theta), np.diag([1e-4, 1e-5]), ends, 9, number, (number,))
         )
-    low, high = (
-        np.floor(segments.reshape(-1, 2).min(axis=0) / 0.1),
-        np.ceil(segments.reshape(-1, 2).max(axis=0) / 0.1),
-    )
+    low = np.floor(segments.reshape(-1, 2).min(axis=0) / 0.1)
+    high = np.ceil(segments.reshape(-1, 2).max(axis=0) / 0.1)
     columns, rows = (high - low).astype(int)
     centres = 0.1 * (
         low
@@ -67,7 +66,8 @@ def episode(folder):
 
 
 def test_a_map_is_read_as_it_was_written(folder):
-    saved, read = map_of(load_world("env3")), read_saved_map(folder)
+    saved = map_of(load_world("env3"))
+    read = read_saved_map(folder)
     np.testing.assert_array_equal(read.segments, saved.segments)
     np.testing.assert_array_equal(np.sign(read.grid.values), np.sign(saved.grid.values))
     np.testing.assert_allclose(read.grid.low, saved.grid.low)

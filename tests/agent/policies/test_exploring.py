@@ -56,7 +56,8 @@ def test_in_another_frame_it_plans_anew() -> None:
     policy.act(lost)
     assert policy.stop_reason is None
     assert policy.goal is not None
-    goal, flipped = policy.goal, replace(CORRIDOR, values=CORRIDOR.values[:, ::-1].copy())
+    goal = policy.goal
+    flipped = replace(CORRIDOR, values=CORRIDOR.values[:, ::-1].copy())
     mirrored = replace(lost, grid=flipped)
     policy.act(mirrored)
     np.testing.assert_array_equal(policy.goal, goal)
@@ -66,9 +67,11 @@ def test_in_another_frame_it_plans_anew() -> None:
 
 @pytest.mark.parametrize("kind", [FrontierPolicy, WallPolicy])
 def test_in_a_map_that_was_moved_it_knows_what_it_has_given_up(kind) -> None:
-    policy, belief = kind(ROBOT, CONFIG), belief_of(place(3, 3), CORRIDOR, BLOCKED)
+    policy = kind(ROBOT, CONFIG)
+    belief = belief_of(place(3, 3), CORRIDOR, BLOCKED)
     first = len(actions_until_stopped(policy, belief))
-    moved, other = replace(belief, frame=1), replace(belief, frame=2, map_number=1)
+    moved = replace(belief, frame=1)
+    other = replace(belief, frame=2, map_number=1)
     policy.act(moved)
     again = len(actions_until_stopped(policy, moved))
     assert policy.stop_reason is not None
@@ -146,7 +149,8 @@ def test_the_end_of_a_robot_that_cannot_see_frontiers_is_no_exploration():
 
 CELL = 0.1
 # A room of 3 m by 2.4 m: its grid, and its walls.
-COLUMNS, ROWS = 30, 24
+COLUMNS = 30
+ROWS = 24
 _VALUES = np.full((ROWS + 2, COLUMNS + 2), -4, dtype=np.int16)
 _VALUES[1:-1, 1:-1] = 2
 ROOM = GridView(np.full(2, -CELL), CELL, _VALUES)
@@ -159,7 +163,8 @@ def with_gap(side: int, start: float, length: float) -> FloatArray:
     """The walls of the room, with a gap in one of them."""
     wall = WALLS[side]
     along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
-    low, high = wall[:2] + start * along, wall[:2] + (start + length) * along
+    low = wall[:2] + start * along
+    high = wall[:2] + (start + length) * along
     return np.vstack((np.delete(WALLS, side, axis=0), [*wall[:2], *low], [*high, *wall[2:]]))
 
 
@@ -270,7 +275,8 @@ def run(until: str | None, **changes: object):
 
 
 def test_a_run_until_the_walls_are_whole_finds_more_walls_and_says_so() -> None:
-    seen, walls = run("seen"), run("walls")
+    seen = run("seen")
+    walls = run("walls")
     assert seen.stop_reason.startswith("explored: ")
     assert "wall" not in seen.stop_reason
     assert walls.is_finished
@@ -302,7 +308,8 @@ def test_two_robots_divide_the_walls() -> None:
 
 def test_a_wall_that_a_teammate_looks_at_is_left_to_it() -> None:
     belief = belief_at([2.5, 1.9, 0.0], with_gap(0, 0.6, 0.8))
-    first, second = WallPolicy(ROBOT, CONFIG), WallPolicy(ROBOT, CONFIG)
+    first = WallPolicy(ROBOT, CONFIG)
+    second = WallPolicy(ROBOT, CONFIG)
     first.act(belief)
     assert first.stop_reason is None
     assert len(first.looks) == 1
@@ -311,7 +318,9 @@ def test_a_wall_that_a_teammate_looks_at_is_left_to_it() -> None:
 
 
 def test_what_was_looked_at_is_not_looked_at_again_after_news_of_teammates() -> None:
-    policy, pose, walls = WallPolicy(ROBOT, CONFIG), place(20, 15), with_gap(0, 0.6, 0.8)
+    policy = WallPolicy(ROBOT, CONFIG)
+    pose = place(20, 15)
+    walls = with_gap(0, 0.6, 0.8)
     while policy.stop_reason is None:
         pose = drive(pose, policy.act(belief_at(pose, walls)))
     assert policy.looks
@@ -325,7 +334,8 @@ SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
 
 @pytest.mark.parametrize("corner", range(2))
 def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
-    before, ahead = SQUARE[corner - 1], SQUARE[corner]
+    before = SQUARE[corner - 1]
+    ahead = SQUARE[corner]
     heading = math.atan2(*(ahead - before)[::-1])
     policy = Laps(ROBOT, SQUARE, 3)
     actions = actions_until_stopped(
@@ -339,7 +349,8 @@ def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
 
 
 def test_laps_go_on_in_another_frame_in_which_the_corner_is_farther_away() -> None:
-    policy, pose = Laps(ROBOT, SQUARE, 1), np.array([1.9, 0.1, 0.5 * math.pi])
+    policy = Laps(ROBOT, SQUARE, 1)
+    pose = np.array([1.9, 0.1, 0.5 * math.pi])
     policy.act(belief_of(pose, CLOSED))
     pose = np.array([0.1, -1.0, 0.0])
     for _ in range(400):
@@ -405,7 +416,9 @@ class Mine:
     """A policy that gives what it is told to give."""
 
     def __init__(self, action=(0.0, 0.0), plan=(), stop_reason=None):
-        self.action, self.plan, self.stop_reason = action, plan, stop_reason
+        self.action = action
+        self.plan = plan
+        self.stop_reason = stop_reason
 
     def act(self, _belief):
         return self.action

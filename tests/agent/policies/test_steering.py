@@ -128,9 +128,11 @@ def reading_of(post: FloatArray, beam: int) -> FloatArray:
 
 
 def test_a_robot_is_slowed_down_if_it_turns_towards_a_post_and_not_if_it_turns_away() -> None:
-    left, right = np.array([0.1, 0.9]), np.array([0.9, 0.1])
+    left = np.array([0.1, 0.9])
+    right = np.array([0.9, 0.1])
     for side, beam, towards, away in ((1.0, 1, left, right), (-1.0, 4, right, left)):
-        guard, bearing = CollisionGuard(ROBOT), side * 0.6
+        guard = CollisionGuard(ROBOT)
+        bearing = side * 0.6
         # The reading is taken by a robot that looks so that the beam meets the post.
         looking = np.array([0.0, 0.0, bearing - float(ROBOT.beam_angles[beam])])
         ranges = CLEAR.copy()
@@ -152,7 +154,8 @@ def test_points_are_forgotten_after_four_seconds() -> None:
 
 
 def test_the_robot_does_not_approach_what_is_too_near_to_be_measured() -> None:
-    guard, close = CollisionGuard(ROBOT), CLEAR.copy()
+    guard = CollisionGuard(ROBOT)
+    close = CLEAR.copy()
     close[1] = 0.05
     guard.add_readings(np.zeros(3), close)
     np.testing.assert_allclose(guard.limit_speed(np.zeros(3), AHEAD), 0.0, atol=1e-12)
@@ -169,7 +172,8 @@ def test_the_robot_does_not_approach_what_is_too_near_to_be_measured() -> None:
 @given(st.floats(-1.2, 1.2), st.floats(0.16, 0.5), st.floats(-0.3, 0.3))
 def test_a_post_that_was_seen_is_not_run_into(bearing: float, distance: float, turn: float) -> None:
     post = distance * np.array([math.cos(bearing), math.sin(bearing)])
-    guard, pose = CollisionGuard(ROBOT), np.zeros(3)
+    guard = CollisionGuard(ROBOT)
+    pose = np.zeros(3)
     beam = 1 if bearing > 0.0 else 4
     robot_sees = CLEAR.copy()
     robot_sees[beam] = distance - ROBOT.radius
@@ -186,7 +190,8 @@ class Stands:
     plan = np.zeros((0, 2))
 
     def __init__(self, steps):
-        self._left, self.stop_reason = steps, None
+        self._left = steps
+        self.stop_reason = None
 
     def act(self, belief):
         del belief
@@ -198,7 +203,9 @@ class Stands:
 class Turns:
     """A policy that turns for ever."""
 
-    plan, wheels, stop_reason = np.array([[9.0, 9.0]]), np.array([-0.1, 0.1]), None
+    plan = np.array([[9.0, 9.0]])
+    wheels = np.array([-0.1, 0.1])
+    stop_reason = None
 
     def act(self, belief):
         del belief
@@ -255,14 +262,13 @@ def test_while_the_robot_is_lost_its_policy_drives_and_the_way_is_planned_anew_a
 
 
 def test_the_robot_comes_home_although_the_short_way_is_closed_before_it():
-    wide, narrow = "#" + "." * 38 + "#", "#" + "." * 7 + "#" * 24 + "." * 7 + "#"
+    wide = "#" + "." * 38 + "#"
+    narrow = "#" + "." * 7 + "#" * 24 + "." * 7 + "#"
     rows = ["#" * 40, *[wide] * 7, *[narrow] * 14, *[wide] * 7, "#" * 40]
     closed = grid_of(*(f"{row[:9]}#{row[10:]}" for row in rows[:8]), *rows[8:])
-    policy, pose, grid = (
-        WayHome(Stands(9999), ROBOT, CONFIG, home=place(4, 4)[:2]),
-        place(4, 35),
-        grid_of(*rows),
-    )
+    policy = WayHome(Stands(9999), ROBOT, CONFIG, home=place(4, 4)[:2])
+    pose = place(4, 35)
+    grid = grid_of(*rows)
     policy.go_home()
     for _ in range(1500):
         pose = drive(pose, policy.act(belief_of(pose, grid)))
@@ -275,7 +281,8 @@ def test_a_robot_in_a_world_comes_back_to_its_start():
     readings, truth = simulation.reset(np.random.SeedSequence(3), NoiseConfig(sensor_noise=0.02))
     config = preset("consistent", NominalNoise(0.02))
     policy = WayHome(WallFollower(ROBOT, config.policy), ROBOT, config.policy)
-    agent, start = LimSlamAgent(ROBOT, config, policy), truth.poses[0].copy()
+    agent = LimSlamAgent(ROBOT, config, policy)
+    start = truth.poses[0].copy()
     farthest = 0.0
     for step in range(900):
         left, right = agent.act({"ranges": readings.ranges[0], "wheels": readings.wheels[0]})
@@ -308,7 +315,8 @@ def lost(*guesses, heading=np.pi / 2):
 
 def costs(belief):
     """The least costs of the left and the right end of the hall."""
-    cost, middle = search_cost(belief, ENDS), HALL.values.shape[1] // 2
+    cost = search_cost(belief, ENDS)
+    middle = HALL.values.shape[1] // 2
     assert not cost[~ENDS].any()
     return cost[:, :middle][ENDS[:, :middle]].min(), cost[:, middle:][ENDS[:, middle:]].min()
 

@@ -152,7 +152,8 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     ],
 )
 def test_what_mends_a_table_of_poses_is_said_in_its_own_columns(laps, factors, order, header, said):
-    odometry, ranges = laps.odometry * np.array(factors), laps.ranges[:, ::order].copy()
+    odometry = laps.odometry * np.array(factors)
+    ranges = laps.ranges[:, ::order].copy()
     found = misread(
         replace(laps, odometry=odometry, ranges=ranges, header=tuple(header.split(",")))
     )
@@ -381,7 +382,8 @@ def test_wheels_that_are_faster_than_the_robot_are_noticed():
 
 def test_a_gap_in_a_wheel_log_is_named_with_its_times():
     log = wheel_log(np.eye(2))
-    first, last = 100, 200
+    first = 100
+    last = 200
     wheels = log.wheels.copy()
     wheels[last] = wheels[first + 1 : last + 1].sum(axis=0)
     kept = np.r_[: first + 1, last : len(log)]

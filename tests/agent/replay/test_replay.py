@@ -93,7 +93,8 @@ def test_without_noise_the_bias_is_found_again(turn, scale, seed):
 
 
 def test_with_noise_the_errors_are_as_large_as_they_are_said_to_be():
-    turns, scales = [], []
+    turns = []
+    scales = []
     for seed in range(40):
         true = drive(seed)
         log = as_log(reported(true, math.radians(0.99), 1.075, noise=1.0, seed=seed + 100))

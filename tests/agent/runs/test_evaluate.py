@@ -51,7 +51,8 @@ class Model:
     """What Stable-Baselines3 calls a model, with a memory or without one."""
 
     def __init__(self, *, remembers):
-        self.remembers, self.calls = remembers, []
+        self.remembers = remembers
+        self.calls = []
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):  # noqa: FBT002 (its interface)
         self.calls.append((observation, state, episode_start, deterministic))
@@ -126,7 +127,8 @@ def test_who_stops_by_itself_is_not_stopped_by_what_is_true():
 
         def reset(self, start_pose, seed):
             np.testing.assert_array_equal(start_pose, ROOM.starts[0])
-            self.steps, self.seed = 0, seed
+            self.steps = 0
+            self.seed = seed
 
         def act(self, observation):
             assert set(observation) == {"ranges", "wheels"}

@@ -68,10 +68,8 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
     episode = run(policy, robots=2, max_time=20.0)
     lengths = np.abs(np.diff(episode.true[..., :2], axis=0)).sum(axis=(0, 2))
     assert (lengths > 0.5).all()
-    again, other = (
-        run(policy, robots=2, max_time=20.0),
-        run(policy, robots=2, max_time=20.0, seed=1),
-    )
+    again = run(policy, robots=2, max_time=20.0)
+    other = run(policy, robots=2, max_time=20.0, seed=1)
     np.testing.assert_array_equal(again.true, episode.true)
     assert not np.array_equal(other.true, episode.true)
 
@@ -133,7 +131,8 @@ def test_ten_minutes_in_one_building_end_as_they_began():
     assert landmarks[-1] <= 1.3 * landmarks[len(landmarks) // 4]
 
 
-ROBOT, NOISE = RobotSpec(), NominalNoise(0.02)
+ROBOT = RobotSpec()
+NOISE = NominalNoise(0.02)
 
 
 def driven(world, actions, seed=1, start=None, noise=0.02):
@@ -157,7 +156,8 @@ def driven(world, actions, seed=1, start=None, noise=0.02):
 def test_another_solver_finds_the_same_optimum():
     """Wheels and lines alone are the unknowns; residuals in plain Python; dense, by differences."""
     true, wheels, ranges, wall_seen, contact = driven("env1", [(0.5, 0.65)] * 40)
-    steps, world = len(true) - 1, load_world("env1")
+    steps = len(true) - 1
+    world = load_world("env1")
     # Without the readings that nearly graze, both leave out the same ones.
     for row, beam in np.argwhere(wall_seen[:, 0] >= 0):
         edge = world.edges[wall_seen[row, 0, beam]]
@@ -180,8 +180,10 @@ def test_another_solver_finds_the_same_optimum():
         return np.array(poses)
 
     def residuals(values, used):
-        travel, lines = values[: 2 * steps].reshape(-1, 2), values[2 * steps :].reshape(-1, 2)
-        poses, measured = path(travel), wheels[1:, 0]
+        travel = values[: 2 * steps].reshape(-1, 2)
+        lines = values[2 * steps :].reshape(-1, 2)
+        poses = path(travel)
+        measured = wheels[1:, 0]
         found = (
             ((travel - measured) / np.sqrt(NOISE.wheel_variance * np.abs(measured) + 1e-12))
             .ravel()
@@ -211,7 +213,8 @@ def test_another_solver_finds_the_same_optimum():
 def test_wheels_in_contact_do_not_drag_the_optimum_along():
     # Straight into the lower wall, aslant: it slides, and its wheels say that it went on.
     log = driven("square", [(0.8, 0.8)] * 60, start=np.array([[3.0, 0.5, -1.0]]))
-    true, contact = log[0], log[-1]
+    true = log[0]
+    contact = log[-1]
     assert contact.sum() > 30
     told = offline_optimum(ROBOT, NOISE, *log)
     untold = offline_optimum(ROBOT, NOISE, *log[:-1], np.zeros_like(contact))

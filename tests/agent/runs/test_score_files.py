@@ -44,7 +44,8 @@ class TestScores:
         ("path", "suffix"), [("trajectory_est.tum", ""), ("trajectory_smoothed.tum", "_smoothed")]
     )
     def test_files_of_a_run_have_the_scores_of_the_run(self, finished, tmp_path, path, suffix):
-        folder, metrics = finished.path, finished.metrics
+        folder = finished.path
+        metrics = finished.metrics
         of_map = "map.json" if suffix else "map_online.json"
         scores = scored(
             tmp_path,
@@ -92,7 +93,8 @@ class TestScores:
         time = 0.1 * np.arange(len(true))
         roots = np.random.default_rng(1).normal(0.0, 0.03, (len(true), 3, 3))
         covariances = roots @ roots.swapaxes(1, 2) + 1e-4 * np.eye(3)
-        cosine, sine = np.cos(MOVE[2]), np.sin(MOVE[2])
+        cosine = np.cos(MOVE[2])
+        sine = np.sin(MOVE[2])
         turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         write_poses(tmp_path / "true.tum", time, true)
         frames = [
@@ -162,7 +164,8 @@ class TestScores:
     def test_poses_out_of_the_plane_get_a_word(self, tmp_path):
         true, _ = drive(count=50)
         x, y, heading = true.T
-        nothing, half = np.zeros(50), 0.5 * heading
+        nothing = np.zeros(50)
+        half = 0.5 * heading
         in_space = {
             "flat": (x, y, nothing + 0.4, nothing, nothing, np.sin(half), np.cos(half)),
             "tilted": (x, y, 0.1 * x, nothing, np.sin(0.2 * x), nothing, np.cos(0.2 * x)),

@@ -89,7 +89,8 @@ def test_a_straight_corridor_becomes_its_two_walls(
 
 
 def _in_robot_frame(points: FloatArray, start: FloatArray) -> FloatArray:
-    cos, sin = math.cos(start[2]), math.sin(start[2])
+    cos = math.cos(start[2])
+    sin = math.sin(start[2])
     return (points - start[:2]) @ np.array([[cos, -sin], [sin, cos]])
 
 
@@ -140,13 +141,16 @@ def test_readings_that_are_not_numbers_are_counted_and_the_step_goes_on() -> Non
     broken: list[Observation] = []
     missing: list[Observation] = []
     for number, each in enumerate(observations):
-        ranges, none = each["ranges"].copy(), each["ranges"].copy()
+        ranges = each["ranges"].copy()
+        none = each["ranges"].copy()
         if number % 5 == 0:
-            ranges[0], ranges[4] = math.nan, -math.inf
+            ranges[0] = math.nan
+            ranges[4] = -math.inf
             none[0] = none[4] = 1.5
         broken.append({"ranges": ranges, "wheels": each["wheels"]})
         missing.append({"ranges": none, "wheels": each["wheels"]})
-    slam, other = run(broken, CONFIG, start), run(missing, CONFIG, start)
+    slam = run(broken, CONFIG, start)
+    other = run(missing, CONFIG, start)
     assert slam.refused_readings == 2 * 17
     assert other.refused_readings == 0
     # Such a reading tells as much as none: the map is that of beams which saw nothing.
@@ -241,10 +245,8 @@ def mean_nees(noise: float, runs: int, tick: float = 0.0) -> float:
     found = []
     for seed in range(runs):
         log = laps_of_square(noise, seed)
-        slam, moments = (
-            LineSlam(FOUR_BEAMS, preset("consistent", NominalNoise(noise)), log.poses[0]),
-            len(log) // 4,
-        )
+        slam = LineSlam(FOUR_BEAMS, preset("consistent", NominalNoise(noise)), log.poses[0])
+        moments = len(log) // 4
         wheels = counted(np.array([seen["wheels"] for seen in log.observations]), tick, seed)
         for step, observation in enumerate(log.observations):
             slam.step({**observation, "wheels": wheels[step]})

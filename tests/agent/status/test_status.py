@@ -112,7 +112,8 @@ def test_the_evidence_of_a_reading_at_a_wall_is_a_likelihood_ratio():
     )
     std = math.sqrt(NOISE**2 + 0.045**2 + 0.01 + 0.04)
     density = math.exp(-0.5 * (0.03 / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
-    share_of_wrong, nothing = 0.02, 0.45
+    share_of_wrong = 0.02
+    nothing = 0.45
     assert evidence == pytest.approx(
         math.log((1 - share_of_wrong) * density * 1.5 / (1 - nothing) + share_of_wrong)
     )
@@ -165,7 +166,8 @@ def test_contradictions_are_tested_by_their_rate():
 
 @pytest.mark.parametrize("off", [(0.2, -0.1, 0.08), (0.0, 0.0, 0.0)])
 def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
-    whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
+    whole = known(WAY, HALL)
+    rays = rays_of(drive(PART, HALL), ROBOT)
     found = drift_fit(whole, moved(rays, np.array(off)), np.diag([0.1**2, 0.1**2, 0.05**2]))
     np.testing.assert_allclose(found.fit.pose, se2.inverse(np.array(off)), atol=0.06)
     assert found.evidence > 50.0
@@ -173,7 +175,8 @@ def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
 
 @pytest.mark.parametrize("turn", [-26.0, 14.0])
 def test_a_slip_is_found_by_what_was_read_since_then(turn):
-    whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
+    whole = known(WAY, HALL)
+    rays = rays_of(drive(PART, HALL), ROBOT)
     start = np.array([*rays[0, :2], 0.0])
     slip = se2.compose(
         se2.compose(start, np.array([0.0, 0.0, math.radians(turn)])), se2.inverse(start)
@@ -279,7 +282,8 @@ def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
 
 def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
     """The map was 0.4 m off, and a change before the loop was closed is not weighed yet."""
-    watched, off = monitor(), np.array([0.4, 0.4, 0.0])
+    watched = monitor()
+    off = np.array([0.4, 0.4, 0.0])
     before = KnownMap(room(0.4, 0.4, 2.4, 2.4), FREE, SENSOR)
     for number in range(44):
         ranges = ranges_at(place(number), WALLS) - 0.1 * (number == 41)
@@ -319,10 +323,8 @@ def test_a_motion_of_which_the_odometry_knows_nothing_is_a_jump():
 
 def test_a_beam_alone_is_no_proof():
     """Its readings change again and again, and contradict the map."""
-    watched, free = (
-        monitor(),
-        GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16)),
-    )
+    watched = monitor()
+    free = GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16))
     for number in range(100):
         ranges = ROBOT.max_ranges.copy()
         ranges[2] = 0.3 + 0.1 * (number % 9)
@@ -334,7 +336,8 @@ def test_a_beam_alone_is_no_proof():
 
 @pytest.mark.parametrize("counts", [True, False])
 def test_bodies_around_the_robot_make_it_lost_only_if_free_space_counts(counts):
-    watched, levels = monitor(), []
+    watched = monitor()
+    levels = []
     known = KnownMap(WALLS, FREE, SENSOR, free_space_counts=counts)
     watched_levels(watched, 40, known=known)
     for number in range(40, 80):
@@ -350,7 +353,8 @@ def test_bodies_around_the_robot_make_it_lost_only_if_free_space_counts(counts):
     [(0.15, 4.5, "ok"), (0.25, 1.0, "unsure"), (0.01, 5.5, "unsure")],
 )
 def test_a_pose_that_may_be_off_by_its_covariance_is_unsure(std, heading_std, level):
-    watched, covariance = monitor(), np.diag([std, std, math.radians(heading_std)]) ** 2
+    watched = monitor()
+    covariance = np.diag([std, std, math.radians(heading_std)]) ** 2
     watched_levels(watched, 10, covariance=covariance)
     assert (watched.status.level, watched.status.chance) == (level, chance_off(covariance))
     assert ("the chance that the pose is more than" in watched.status.reason) == (level != "ok")
@@ -360,7 +364,8 @@ def test_a_pose_that_may_be_off_by_its_covariance_is_unsure(std, heading_std, le
 
 
 def test_the_worst_robot_counts_and_is_named():
-    lost, unsure = Status("lost", "a jump"), Status("unsure", "a doubt")
+    lost = Status("lost", "a jump")
+    unsure = Status("unsure", "a doubt")
     assert worst([lost]) == lost
     assert worst([Status(), unsure, lost]) == Status("lost", "robot 3: a jump")
     assert worst([Status(), Status()]) == Status()
@@ -427,7 +432,8 @@ def test_the_scores_have_the_status_of_the_result_and_of_the_filter():
     }
 
 
-BEGIN, NOISE = 30.0, 0.02
+BEGIN = 30.0
+NOISE = 0.02
 
 
 @pytest.mark.parametrize(
@@ -442,7 +448,8 @@ BEGIN, NOISE = 30.0, 0.02
 def test_a_fault_is_noticed_within_ten_seconds(kind, world, seed):
     levels = []
     agent, rows = steps_with(Fault(kind, BEGIN, seed), world, NOISE, 10.0, seed=seed, note=levels)
-    before, after = levels[: round(BEGIN / 0.1)], levels[round(BEGIN / 0.1) :]
+    before = levels[: round(BEGIN / 0.1)]
+    after = levels[round(BEGIN / 0.1) :]
     assert set(before) == {"ok"}
     assert {"unsure", "lost"} & set(after)
     assert len(rows) == len(levels)

@@ -50,10 +50,12 @@ def test_votes_peak_at_the_line_that_the_points_lie_on(theta):
 
 
 def test_a_band_is_as_wide_as_the_line_may_be_off():
-    line, covariance = np.array([1.0, 0.4]), np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
+    line = np.array([1.0, 0.4])
+    covariance = np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
     (wall,) = frame_with(walls=[(*line, -1.0, 2.0)]).walls
     (band,) = wall_bands([replace(wall, covariance=covariance)], sigmas=2.0, samples=7)
-    upper, lower = band[:7], band[7:][::-1]
+    upper = band[:7]
+    lower = band[7:][::-1]
     random = np.random.default_rng(0)
     moved = line + random.multivariate_normal(np.zeros(2), covariance, size=4000)
     for middle, half in zip(

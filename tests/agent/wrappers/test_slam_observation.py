@@ -17,7 +17,9 @@ from limslam_env import LimSlamEnv, NominalNoise
 from limslam_env.envs.wrappers import NormalizedObservation
 from limslam_env.geometry import se2
 
-UNKNOWN, FREE, OCCUPIED = 0, 127, 255
+UNKNOWN = 0
+FREE = 127
+OCCUPIED = 255
 ACTIONS = [*[(0.6, 0.6)] * 25, *[(-0.4, 0.4)] * 10, *[(0.5, 0.6)] * 25]
 
 
@@ -26,7 +28,8 @@ def driven(
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Observations and infos of a short drive."""
     observation, info = env.reset(seed=seed)
-    observations, infos = [observation], [info]
+    observations = [observation]
+    infos = [info]
     for action in ACTIONS:
         observation, _, _, _, info = env.step(np.array(action))
         observations.append(observation)
@@ -134,11 +137,13 @@ def test_the_robot_is_in_the_middle_and_looks_up() -> None:
 def test_the_picture_turns_with_the_robot(heading_deg: float) -> None:
     # Env1 looks the same after a quarter turn about (3.5, 3.5); cells at their edges may fall to
     # either side.
-    start, turn = np.array([3.43, 1.03]) - 3.5, math.radians(heading_deg)
+    start = np.array([3.43, 1.03]) - 3.5
+    turn = math.radians(heading_deg)
     x, y = 3.5 + start @ np.array(
         [[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]]
     )
-    upright, turned = grid_from((3.43, 1.03, 0.0), 40), grid_from((x, y, turn), 40)
+    upright = grid_from((3.43, 1.03, 0.0), 40)
+    turned = grid_from((x, y, turn), 40)
     assert (upright == turned).mean() > 0.9
     assert (np.rot90(upright) == turned).mean() < 0.9
 

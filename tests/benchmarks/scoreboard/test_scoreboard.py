@@ -83,7 +83,9 @@ def cells(row, values, **others):
 
 
 def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
-    rows, engine, folder = read_rows(tiny), OneAfterAnother(), tmp_path / "out"
+    rows = read_rows(tiny)
+    engine = OneAfterAnother()
+    folder = tmp_path / "out"
     first, summary, skipped = run_scoreboard(rows, ["nom*"], folder, engine)
     assert (summary.failures, skipped, len(engine.titles)) == ((), [], 2)
     board, _, _ = run_scoreboard(rows, [], folder, engine)
@@ -246,13 +248,15 @@ def test_wrong_and_ok_at_the_end_false_alarms_and_failures_count():
 
 
 def test_a_covariance_that_is_too_large_is_not_worse():
-    old, new = cells("a", [0.1] * 3, nees=0.9), cells("a", [0.1] * 3, nees=0.2)
+    old = cells("a", [0.1] * 3, nees=0.9)
+    new = cells("a", [0.1] * 3, nees=0.2)
     assert not compared(old, new)[0].reasons
     assert compared(old, cells("a", [0.1] * 3, nees=3.0))[0].reasons
 
 
 def test_seconds_are_counted_by_hand_made_errors():
-    time, true = np.arange(5.0), np.zeros((5, 1, 3))
+    time = np.arange(5.0)
+    true = np.zeros((5, 1, 3))
     estimated = np.zeros((5, 1, 3))
     estimated[1:3, 0, 0] = 0.6
     levels = np.array([[1], [0], [1], [2], [0]])
@@ -278,21 +282,25 @@ def test_seconds_are_counted_by_hand_made_errors():
 
 
 def test_a_drive_depends_on_the_seed_and_not_on_the_noise():
-    first, again, noisy = drive(), drive(), drive(noise=0.04, true_noise=NoiseConfig(dropout=0.1))
+    first = drive()
+    again = drive()
+    noisy = drive(noise=0.04, true_noise=NoiseConfig(dropout=0.1))
     assert np.array_equal(first.ranges, again.ranges)
     assert np.array_equal(first.true_pose, noisy.true_pose)
     assert not np.array_equal(first.ranges, noisy.ranges)
 
 
 def test_jitter_moves_readings_of_walls_only():
-    plain, shaken = drive(), drive(jitter=1e-4)
+    plain = drive()
+    shaken = drive(jitter=1e-4)
     free = plain.ranges >= plain.robot.too_far.astype(np.float32)
     assert np.array_equal(plain.ranges[free], shaken.ranges[free])
     assert np.isclose((shaken.ranges - plain.ranges)[~free].std(), 1e-4, rtol=0.2)
 
 
 def test_faults_do_what_they_say():
-    plain, beam = drive(), 3
+    plain = drive()
+    beam = 3
     assert np.array_equal(drive("late").ranges[1:], plain.ranges[:-1])
     one = drive("delayed").ranges
     half = len(one) // 2
@@ -301,7 +309,8 @@ def test_faults_do_what_they_say():
     assert set(drive("dead beam").ranges[:, beam]) == {1.5}
     assert set(drive("stuck beam").ranges[:, beam].round(6)) == {np.float32(0.4)}
     assert np.allclose((drive("offset").ranges - plain.ranges)[plain.ranges < 1.4], 0.03, atol=1e-6)
-    far, share = drive("offset", fault_size=0.1), drive("scale")
+    far = drive("offset", fault_size=0.1)
+    share = drive("scale")
     seen = plain.ranges < 1.4
     assert np.allclose((far.ranges - plain.ranges)[seen], 0.1, atol=1e-6)
     assert np.allclose((share.ranges / plain.ranges)[seen], 1.03, atol=1e-5)
@@ -320,7 +329,8 @@ def test_faults_do_what_they_say():
 
 def test_reports_that_are_lost_take_their_travel_with_them():
     time = 0.1 * np.arange(600.0)
-    ranges, wheels = np.ones((600, 6)), np.full((600, 2), 0.02)
+    ranges = np.ones((600, 6))
+    wheels = np.full((600, 2), 0.02)
 
     def reported(kind):
         return with_fault(Fault(kind, seed=3), ranges, wheels, time)
@@ -336,11 +346,13 @@ def test_reports_that_are_lost_take_their_travel_with_them():
 
 
 def test_a_person_is_seen_in_front_of_the_walls():
-    plain, crowded = drive(), drive("person")
+    plain = drive()
+    crowded = drive("person")
     nearer = crowded.ranges < plain.ranges
     assert 0.0 < nearer.mean() < 0.2
     assert np.array_equal(crowded.ranges[~nearer], plain.ranges[~nearer])
-    robot, poses = RobotSpec(), np.array([[0.0, 0.0, 0.5 * math.pi]])
+    robot = RobotSpec()
+    poses = np.array([[0.0, 0.0, 0.5 * math.pi]])
     ahead = ranges_to(np.array([[0.0, 1.0]]), 0.2, robot, poses)
     assert np.isinf(ahead[0, [0, 5]]).all()
     aside = ranges_to(np.array([[1.0, 0.0]]), 0.2, robot, poses)

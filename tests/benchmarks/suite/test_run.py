@@ -61,7 +61,8 @@ worlds = ["env1"]
 noises = [0.0]
 seeds = [0, 1]
 """
-KILLS, SEED = 2, 20160704
+KILLS = 2
+SEED = 20160704
 GUARD = 300.0
 """Longest wait, s. It only keeps a test from waiting forever: what is awaited takes seconds, even
 on a busy machine.
@@ -139,7 +140,8 @@ def test_rows_hold_metrics_and_what_made_them(rows, tiny):
 
 def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_path):
     draw = np.random.default_rng(SEED)
-    suite, out = tmp_path / "tiny.toml", tmp_path / "out"
+    suite = tmp_path / "tiny.toml"
+    out = tmp_path / "out"
     suite.write_text(TINY)
     for _ in range(KILLS):
         # Counted in rows and not in seconds alone, so that slow machines and fast ones are killed
@@ -171,10 +173,8 @@ REASONS = {
 
 
 def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(tmp_path):
-    suite, before = (
-        Suite("troubled", "", tuple(TROUBLED), "d"),
-        {name: os.environ.get(name) for name in ONE_THREAD},
-    )
+    suite = Suite("troubled", "", tuple(TROUBLED), "d")
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
     summary = run_suite(suite, tmp_path, Processes(2, GUARD), work=benchmark_work.troubled)
     rows = {row.seed: row for row in read_rows(tmp_path)}
     assert rows.keys() == {job.seed for job in TROUBLED}

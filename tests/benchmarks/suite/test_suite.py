@@ -215,7 +215,9 @@ def test_a_dry_run_lists_the_jobs_and_runs_none(tmp_path):
     assert not out.exists()
 
 
-OK, UNSURE, LOST = 0, 1, 2
+OK = 0
+UNSURE = 1
+LOST = 2
 
 
 def episode_of(levels, errors, *, turned=0.0, kidnapped=True):

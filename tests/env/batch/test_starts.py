@@ -15,7 +15,8 @@ ROBOT = RobotSpec()
 
 def starts_in(world: World, count: int, seed: int) -> FloatArray:
     """Poses (count, 3) in all closed regions of a world."""
-    generator, space = np.random.default_rng(seed), world.free_space(ROBOT.radius)
+    generator = np.random.default_rng(seed)
+    space = world.free_space(ROBOT.radius)
     points = space.centres(space.free)
     points = generator.permutation(points[~space.is_open(points)])[:count]
     return np.column_stack((points, generator.uniform(-3.0, 3.0, count)))
@@ -27,9 +28,11 @@ def keys_of(count: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("name", "robots"), [("env2", 3), ("env3", 1)])
 def test_each_start_gets_what_it_would_get_alone(name, robots):
-    world, count = load_world(name), 12
+    world = load_world(name)
+    count = 12
     starts = starts_in(world, count, 3)
-    given, keys = starts[:, None], keys_of(count)
+    given = starts[:, None]
+    keys = keys_of(count)
     together = Places(world, ROBOT, robots, count)
     poses = together.begin(np.arange(count), keys, given)
     for env in range(count):

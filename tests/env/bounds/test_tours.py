@@ -55,10 +55,8 @@ def test_where_there_is_no_room_there_is_no_tour():
 
 def test_the_only_way_through_a_long_slanted_passage_is_found():
     # 3 m long and 0.3 m wide: no two places of the grid on its axis see each other.
-    ahead, left = (
-        np.array([math.cos(0.2), math.sin(0.2)]),
-        np.array([-math.sin(0.2), math.cos(0.2)]),
-    )
+    ahead = np.array([math.cos(0.2), math.sin(0.2)])
+    left = np.array([-math.sin(0.2), math.cos(0.2)])
     right_ends = np.array([[2.0, 1.0], [2.0, 1.0] + 3.0 * ahead])
     left_ends = right_ends + 0.3 * left
     (x1, x2), (x3, x4) = right_ends[:, 0], left_ends[:, 0]

@@ -164,7 +164,8 @@ def test_info_is_what_the_contract_says():
 
 def test_wall_seen_names_the_wall_that_the_range_ends_on():
     env = gym.make(ID).unwrapped
-    robot, world = env.robot, env.world
+    robot = env.robot
+    world = env.world
     _, info = env.reset(seed=0, options={"start": (3.2, 1.9, 0.0)})
     hits = set()
     for _ in range(60):
@@ -197,7 +198,8 @@ def test_the_episode_is_truncated_at_the_limit_given_to_make():
 def test_the_episode_terminates_at_the_coverage_goal():
     env = gym.make(ID, coverage_goal=0.05)
     _, info = env.reset(seed=0)
-    terminated, steps = False, 0
+    terminated = False
+    steps = 0
     while not terminated:
         assert info["coverage"] < 0.05
         _, _, terminated, truncated, info = env.step(AHEAD)
@@ -327,7 +329,8 @@ def test_space_bounds_are_finite_and_those_of_the_robot():
             beams=beams_on_rim((0.0, 90.0), 0.1, min_range=0.1, max_range=3.0), max_wheel_speed=0.5
         ),
     )
-    ranges, wheels = env.observation_space["ranges"], env.observation_space["wheels"]
+    ranges = env.observation_space["ranges"]
+    wheels = env.observation_space["wheels"]
     np.testing.assert_allclose([ranges.low, ranges.high], [[0.1, 0.1], [3.0, 3.0]])
     np.testing.assert_allclose([wheels.low, wheels.high], [[-0.1, -0.1], [0.1, 0.1]])
     env.reset(seed=0)
@@ -358,7 +361,8 @@ def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
     actions = held_actions(700, seed=2)
     for action in actions[:100]:
         env.step(action)
-    copied, results = clone(env), []
+    copied = clone(env)
+    results = []
     for number, action in enumerate(actions[100:600]):
         # A chain of copies: each must hold all that counts.
         copied = clone(copied) if number % 100 == 99 else copied

@@ -20,7 +20,8 @@ def driven(noise: NoiseConfig, seed: int = 0, *, imu: bool = True, steps: int = 
     """Observations of a drive, and the true headings."""
     env = LimSlamEnv("env1", noise=noise, imu=imu)
     observation, info = env.reset(seed=seed)
-    seen, headings = [observation], [info["pose"][2]]
+    seen = [observation]
+    headings = [info["pose"][2]]
     for _ in range(steps):
         observation, _, _, _, info = env.step(AHEAD)
         seen.append(observation)
@@ -43,7 +44,8 @@ def test_the_observation_space_has_the_heading_only_where_it_is_asked_for():
 
 
 def test_the_heading_changes_no_other_number():
-    with_heading, without = driven(NoiseConfig()), driven(NoiseConfig(), imu=False)
+    with_heading = driven(NoiseConfig())
+    without = driven(NoiseConfig(), imu=False)
     for one, other in zip(with_heading[0], without[0], strict=True):
         for name in ("ranges", "wheels"):
             np.testing.assert_array_equal(one[name], other[name])

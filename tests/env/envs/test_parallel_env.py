@@ -122,7 +122,8 @@ def test_observations_and_info_are_what_the_contract_says():
     for step, actions in enumerate(named_actions(3, 200)):
         assert list(observations) == list(infos) == env.possible_agents
         for name in env.agents:
-            observation, info = observations[name], infos[name]
+            observation = observations[name]
+            info = infos[name]
             assert list(observation) == ["ranges", "wheels"]
             assert env.observation_space(name).contains(observation)
             assert observation["ranges"].dtype == observation["wheels"].dtype == np.float32
@@ -189,7 +190,8 @@ def test_another_process_gives_the_same_bits_too():
     "world", ["env1", "env2", hall(), "random"], ids=["env1", "env2", "no starts", "random"]
 )
 def test_the_first_robot_starts_where_it_would_alone(world):
-    env, single = LimSlamParallelEnv(world, num_robots=5), LimSlamEnv(world)
+    env = LimSlamParallelEnv(world, num_robots=5)
+    single = LimSlamEnv(world)
     for seed in (4, None, 7):
         _, infos = env.reset(seed=seed)
         _, info = single.reset(seed=seed)
@@ -201,7 +203,8 @@ def test_the_first_robot_starts_where_it_would_alone(world):
 def test_robots_start_apart_and_where_they_can_meet(world):
     env = LimSlamParallelEnv(world, num_robots=8)
     _, infos = env.reset(seed=1)
-    names, space = env.agents, env.world.free_space(env.robot.radius)
+    names = env.agents
+    space = env.world.free_space(env.robot.radius)
     for number, name in enumerate(names):
         assert all(gap(infos, name, other) > 2.0 * env.robot.radius for other in names[:number])
     assert len({space.label_of(infos[name]["pose"][:2]) for name in names}) == 1
@@ -236,10 +239,8 @@ def test_robots_see_each_other_s_bodies():
 
 
 def test_a_robot_alone_sees_and_does_what_the_single_environment_s_does():
-    env, single = (
-        LimSlamParallelEnv("env1", num_robots=1, noise=EVERYTHING),
-        LimSlamEnv("env1", noise=EVERYTHING),
-    )
+    env = LimSlamParallelEnv("env1", num_robots=1, noise=EVERYTHING)
+    single = LimSlamEnv("env1", noise=EVERYTHING)
     observations, infos = env.reset(seed=3)
     assert bits((observations["robot_0"], infos["robot_0"])) == bits(single.reset(seed=3))
     for actions in named_actions(1, 200):
@@ -252,12 +253,10 @@ def test_rewards_are_the_sum_of_their_pieces(shared):
     pieces = RewardConfig(new_area=2.0, step=-0.5, collision=-10.0)
     env = LimSlamParallelEnv("env1", num_robots=3, rewards=pieces, shared_reward=shared)
     _, infos = env.reset(seed=0)
-    before, cells, seen_apart, touched = (
-        infos["robot_0"]["coverage"],
-        env.coverage_grid.total,
-        False,
-        set(),
-    )
+    before = infos["robot_0"]["coverage"]
+    cells = env.coverage_grid.total
+    seen_apart = False
+    touched = set()
     for actions in named_actions(3, 400, seed=3):
         _, rewards, _, _, infos = env.step(actions)
         collisions = [infos[name]["collision"] for name in env.agents]
@@ -283,7 +282,8 @@ def test_all_terminate_when_they_have_seen_enough_together():
     alone = LimSlamEnv("env1", coverage_goal=None)
     env.reset(seed=0)
     alone.reset(seed=0)
-    own, together = 0.0, []
+    own = 0.0
+    together = []
     while env.agents:
         assert env.agents == env.possible_agents
         _, _, terminations, truncations, infos = env.step(all_alike(env, np.array([0.9, 1.0])))
@@ -312,7 +312,8 @@ def test_all_are_truncated_after_max_cycles():
     ids=["missing", "unknown", "a number for a name"],
 )
 def test_actions_must_be_those_of_the_robots_that_are_there(change):
-    env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
+    env = LimSlamParallelEnv("env1")
+    plain = LimSlamParallelEnv("env1")
     for one in (env, plain):
         one.reset(seed=0)
     actions = {
@@ -368,7 +369,8 @@ def test_reset_takes_starts_for_one_or_several():
     ],
 )
 def test_starts_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(start, error, reason):
-    env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
+    env = LimSlamParallelEnv("env1")
+    plain = LimSlamParallelEnv("env1")
     for one in (env, plain):
         one.reset(seed=0)
     with pytest.raises(error, match=reason):

@@ -36,8 +36,11 @@ speeds = st.one_of(
 @st.composite
 def polygons(draw):
     """A convex polygon, sometimes a sliver."""
-    x, y, size = draw(st.floats(0.5, 4.5)), draw(st.floats(0.5, 4.5)), draw(st.floats(0.02, 1.0))
-    corners, flatness = draw(st.integers(3, 7)), draw(st.floats(0.05, 1.0))
+    x = draw(st.floats(0.5, 4.5))
+    y = draw(st.floats(0.5, 4.5))
+    size = draw(st.floats(0.02, 1.0))
+    corners = draw(st.integers(3, 7))
+    flatness = draw(st.floats(0.05, 1.0))
     angles = 2.0 * math.pi * (np.arange(corners) + draw(st.floats(0.0, 1.0))) / corners
     return np.column_stack((x + size * np.cos(angles), y + flatness * size * np.sin(angles)))
 
@@ -47,7 +50,8 @@ def boxes(draw):
     """A box with walls and polygons in it, which may cross each other and leave pockets and sharp
     corners.
     """
-    width, height = draw(st.floats(1.0, 5.0)), draw(st.floats(1.0, 5.0))
+    width = draw(st.floats(1.0, 5.0))
+    height = draw(st.floats(1.0, 5.0))
     outer = np.array(
         [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
     )
@@ -102,7 +106,8 @@ def noises(draw):
 def odd_robots(draw):
     """A robot with beams anywhere on and in its body."""
     radius = draw(st.floats(0.03, 0.25))
-    place, angle = st.floats(-0.7 * radius, 0.7 * radius), st.floats(-10.0, 10.0)
+    place = st.floats(-0.7 * radius, 0.7 * radius)
+    angle = st.floats(-10.0, 10.0)
     schedule = draw(st.sampled_from([(1, 0), (2, 0), (3, 2), (4, 1)]))
     beams = st.builds(
         SensorSpec,
@@ -134,13 +139,18 @@ def is_finite(value) -> bool:
 def check_episode(env: LimSlamParallelEnv, seed: int, actions: list[tuple[float, float]]) -> None:
     """Drive for a while, each robot by actions of its own, and look at everything that is given."""
     observations, infos = env.reset(seed=seed)
-    edges, radius, names = env.world.edges, env.robot.radius, list(env.agents)
+    edges = env.world.edges
+    radius = env.robot.radius
+    names = list(env.agents)
     corners = edges.reshape(-1, 2)
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     # A little thinner than the robot: wherever the robot gets, the grid has a way too.
     cell = cell_for(edges, radius)
     space = free_space(edges, radius - 0.75 * cell - DEEPEST, cell, env.world.obstacles)
-    labels, coverage, rewards = [space.label_of(infos[name]["pose"][:2]) for name in names], 0.0, {}
+    labels = [space.label_of(infos[name]["pose"][:2]) for name in names]
+    coverage = 0.0
+    rewards = {}
     for step in range(STEPS + 1):
         poses = np.array([infos[name]["pose"] for name in names])
         assert is_finite(poses)
@@ -220,7 +230,8 @@ def drive_and_reset(steps: int, env: LimSlamEnv, *, seed: int, longest: int = 50
     """
     generator = np.random.default_rng(seed)
     env.reset(seed=seed)
-    episodes, since = 1, 0
+    episodes = 1
+    since = 0
     for step in range(steps):
         if step % 20 == 0:
             action = generator.uniform(-0.3, 1.0, 2)
@@ -228,7 +239,8 @@ def drive_and_reset(steps: int, env: LimSlamEnv, *, seed: int, longest: int = 50
         since += 1
         if terminated or since == longest:
             env.reset()
-            episodes, since = episodes + 1, 0
+            episodes = episodes + 1
+            since = 0
     return episodes
 
 

@@ -26,9 +26,11 @@ def batch(**arguments):
 
 
 def test_it_passes_on_what_the_batch_says():
-    env, plain = Sb3VecEnv(batch()), batch()
+    env = Sb3VecEnv(batch())
+    plain = batch()
     env.seed(7)
-    told, expected = env.reset(), plain.reset(seed=7)[0]
+    told = env.reset()
+    expected = plain.reset(seed=7)[0]
     for _ in range(6):
         for key in ("ranges", "wheels"):
             np.testing.assert_array_equal(told[key], expected[key])
@@ -39,7 +41,8 @@ def test_it_passes_on_what_the_batch_says():
 
 
 def test_the_last_step_of_an_episode_says_so():
-    env, plain = Sb3VecEnv(batch()), batch(max_episode_steps=None)
+    env = Sb3VecEnv(batch())
+    plain = batch(max_episode_steps=None)
     env.seed(7)
     env.reset()
     plain.reset(seed=7)
@@ -61,12 +64,15 @@ def test_the_last_step_of_an_episode_says_so():
 
 def test_every_step_has_its_cost_the_last_one_of_an_episode_too():
     # Into a wall, where the episode ends.
-    steps, fast = 150, 2.0 * AHEAD
-    env, plain = Sb3VecEnv(batch(max_episode_steps=steps)), batch(max_episode_steps=None)
+    steps = 150
+    fast = 2.0 * AHEAD
+    env = Sb3VecEnv(batch(max_episode_steps=steps))
+    plain = batch(max_episode_steps=None)
     env.seed(7)
     env.reset()
     plain.reset(seed=7)
-    costs, expected = [], []
+    costs = []
+    expected = []
     for _ in range(steps):
         costs.append([info["cost"] for info in env.step(fast)[3]])
         expected.append(plain.step(fast)[-1]["cost"].tolist())

@@ -45,7 +45,8 @@ def assert_same(batch: tuple, env: int, single: tuple, atol: float = 1e-6) -> No
 
 @pytest.mark.parametrize("world", ["env1", "env2", "env3", "square"])
 def test_it_is_the_same_environment(world):
-    envs, steps = 4, 300
+    envs = 4
+    steps = 300
     batch = LimSlamVectorEnv(world, envs, noise=QUIET)
     singles = [LimSlamEnv(world, noise=QUIET) for _ in range(envs)]
     observations, infos = batch.reset(seed=0)
@@ -132,12 +133,14 @@ def test_noise_has_the_same_distributions():
         slip_rate=5.0,
         slip_share=0.3,
     )
-    ahead, count = np.array([0.4, 0.3], dtype=np.float32), 10_000
+    ahead = np.array([0.4, 0.3], dtype=np.float32)
+    count = 10_000
     batch = LimSlamVectorEnv("env1", count, noise=noise)
     batch.reset(seed=5)
     many, _, _, _, infos = batch.step(np.tile(ahead, (count, 1)))
     # One step from the same start again and again: all that differs is the noise.
-    single, rows = LimSlamEnv("env1", noise=noise), []
+    single = LimSlamEnv("env1", noise=noise)
+    rows = []
     single.reset(seed=6)
     simulation = single._simulation
     start = load_world("env1").starts[:1]
@@ -417,7 +420,8 @@ def assert_bits(one, other):
     assert type(one) is type(other)
     if isinstance(one, dict):
         assert list(one) == list(other)
-        one, other = tuple(one.values()), tuple(other.values())
+        one = tuple(one.values())
+        other = tuple(other.values())
     if isinstance(one, tuple):
         for mine, their in zip(one, other, strict=True):
             assert_bits(mine, their)
@@ -438,7 +442,8 @@ def test_a_refused_reset_changes_nothing(kind):
     batch, twin = (
         LimSlamVectorEnv(num_envs=4, max_episode_steps=15, **REFUSED_RESETS[kind]) for _ in range(2)
     )
-    first, actions = batch.reset(seed=0), held_actions(60, 4)
+    first = batch.reset(seed=0)
+    actions = held_actions(60, 4)
     assert_bits(first, twin.reset(seed=0))
     # All starts but the last can be used.
     starts = first[1]["pose"].copy()

@@ -79,7 +79,8 @@ def test_what_comes_out_lies_in_the_space(stack):
 
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_wrapper_changes_nothing_about_the_world(stack):
-    env, plain = STACKS[stack](LimSlamEnv("env1")), LimSlamEnv("env1")
+    env = STACKS[stack](LimSlamEnv("env1"))
+    plain = LimSlamEnv("env1")
     env.action_space.seed(1)
     np.testing.assert_array_equal(env.reset(seed=3)[1]["pose"], plain.reset(seed=3)[1]["pose"])
     for _ in range(30):
@@ -172,7 +173,8 @@ def test_moves_by_number():
         info["pose"], (x + 0.03 * math.cos(theta), y + 0.03 * math.sin(theta), theta), atol=1e-9
     )
     for number in (1, 2, 2):
-        before, info = info["pose"], env.step(number)[4]
+        before = info["pose"]
+        info = env.step(number)[4]
         turns.append(np.sign(info["pose"][2] - before[2]))
         np.testing.assert_allclose(info["pose"][:2], before[:2], atol=1e-9)
     assert turns == [1.0, -1.0, -1.0]
@@ -204,7 +206,8 @@ def test_a_move_that_there_is_not_is_refused(action):
 
 
 def test_flat_observations_hold_ranges_and_then_wheels():
-    env, plain = FlattenObservation(LimSlamEnv("env1")), LimSlamEnv("env1")
+    env = FlattenObservation(LimSlamEnv("env1"))
+    plain = LimSlamEnv("env1")
     assert env.observation_space.shape == (8,)
     flat, _ = env.reset(seed=0)
     observation, _ = plain.reset(seed=0)
@@ -218,7 +221,8 @@ def test_flat_observations_hold_ranges_and_then_wheels():
 
 
 def test_stacked_observations_hold_the_last_ones_in_order():
-    env, plain = FrameStackObservation(LimSlamEnv("env1"), 3), LimSlamEnv("env1")
+    env = FrameStackObservation(LimSlamEnv("env1"), 3)
+    plain = LimSlamEnv("env1")
     env.reset(seed=0)
     frames = [plain.reset(seed=0)[0]]
     for _ in range(5):
@@ -246,7 +250,8 @@ def test_ahead_is_up_and_left_is_left(quarter):
     picture = map_of("square", (1.0, 1.0, quarter * math.pi / 2.0))
     low_y, low_x = np.zeros((2, 40, 40), dtype=bool)
     # Nine cells and a half from the middle: the walls' cells are the first ones of the room.
-    low_y[29], low_x[29] = True, True
+    low_y[29] = True
+    low_x[29] = True
     of_heading = {
         # Facing right, the lower wall is on the right hand and the left wall behind.
         0: ((slice(None), 29), (29, slice(None))),
@@ -270,14 +275,18 @@ def test_every_cell_is_what_was_truly_seen_there(heading, size):
     for action in np.random.default_rng(0).uniform(-0.3, 1.0, (60, 2)):
         observation, *_, info = env.step(action)
     truth, (x, y, theta) = env.unwrapped, info["pose"]
-    seen, low, edges = truth.seen, truth.coverage_grid.low, truth.world.edges
+    seen = truth.seen
+    low = truth.coverage_grid.low
+    edges = truth.world.edges
     picture = observation["local_map"][0]
     for row in range(size):
         for column in range(size):
-            ahead, left = (0.5 * (size - 1) - row) * 0.1, (0.5 * (size - 1) - column) * 0.1
+            ahead = (0.5 * (size - 1) - row) * 0.1
+            left = (0.5 * (size - 1) - column) * 0.1
             px = x + ahead * math.cos(theta) - left * math.sin(theta)
             py = y + ahead * math.sin(theta) + left * math.cos(theta)
-            i, j = math.floor((py - low[1]) / 0.1), math.floor((px - low[0]) / 0.1)
+            i = math.floor((py - low[1]) / 0.1)
+            j = math.floor((px - low[0]) / 0.1)
             is_inside = 0 <= i < seen.shape[0] and 0 <= j < seen.shape[1]
             if picture[row, column] == FREE:
                 assert is_inside

@@ -159,7 +159,8 @@ def test_at_is_the_inverse_of_along_and_lies_on_the_line(given_line, positions):
 @given(lines(), points())
 @settings(deadline=None)
 def test_distance_and_along_are_the_point_in_the_frame_of_the_line(given_line, point):
-    away, position = line.distance(given_line, point[None])[0], line.along(given_line, point[None])
+    away = line.distance(given_line, point[None])[0]
+    position = line.along(given_line, point[None])
     rebuilt = line.at(given_line, position)[0] + away * line.normal(given_line)
     np.testing.assert_allclose(rebuilt, point, atol=1e-11)
     assert line.normal(given_line) @ line.direction(given_line) == pytest.approx(0.0, abs=1e-15)

@@ -114,11 +114,10 @@ def test_arc_jacobian_matches_central_differences(distance, turn):
 
 
 def test_dead_reckoning_composes_the_arcs_of_its_rows():
-    wheels, start = (
-        np.float32([[0.1, 0.2], [0.3, 0.3], [-0.2, 0.4], [0.5, -0.5]]),
-        np.array([1.0, -2.0, 3.0]),
-    )
-    pose, expected = start, []
+    wheels = np.float32([[0.1, 0.2], [0.3, 0.3], [-0.2, 0.4], [0.5, -0.5]])
+    start = np.array([1.0, -2.0, 3.0])
+    pose = start
+    expected = []
     for travel in wheels:
         pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(travel, 0.16)))
         expected.append(pose)

@@ -18,7 +18,8 @@ L_SHAPE = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 1.0], [1.0, 1.0], [1.0, 3.0], 
 @given(st.lists(point, min_size=1, max_size=4), st.lists(segment, min_size=1, max_size=4))
 @settings(deadline=None)
 def test_distances_agree_with_a_walk_along_each_segment(points, segments):
-    points, segments = np.array(points), np.array(segments)
+    points = np.array(points)
+    segments = np.array(segments)
     found = segment_geometry.distances(points, segments)
     assert found.shape == (len(points), len(segments))
     fractions = np.linspace(0.0, 1.0, 2001)[:, None]
@@ -66,5 +67,6 @@ def test_inside_of_an_l_is_the_union_of_its_two_bars_however_it_is_turned(turn):
     x, y = points.T
     bars = (x > 0) & (y > 0) & (((x < 3) & (y < 1)) | ((x < 1) & (y < 3)))
     there = np.array([2.0, -1.0, turn])
-    points, polygon = se2.transform_points(there, points), se2.transform_points(there, L_SHAPE)
+    points = se2.transform_points(there, points)
+    polygon = se2.transform_points(there, L_SHAPE)
     np.testing.assert_array_equal(segment_geometry.inside_polygon(points, polygon), bars)

@@ -35,14 +35,16 @@ def marked(seen, x, y, dx, dy, reach, radius):
 
 @compiled
 def taken(left, tile_columns, tile_rows, x, y, dx, dy, reach, radius):
-    x, y = (x - AREA[0]) / CELL, (y - AREA[1]) / CELL
+    x = (x - AREA[0]) / CELL
+    y = (y - AREA[1]) / CELL
     new = walk_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
     return new + walk_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
 
 
 @compiled
 def cast(aims, edges, rays):
-    starts, numbers = np.array([0, len(edges)]), np.arange(len(edges)).astype(np.uint16)
+    starts = np.array([0, len(edges)])
+    numbers = np.arange(len(edges)).astype(np.uint16)
     cast_fan(0, 0, aims, edges, starts, numbers, rays)
 
 
@@ -50,7 +52,8 @@ def cast(aims, edges, rays):
 def met(aims, edges, rays):
     for lane in range(rays.shape[1]):
         for edge in range(len(edges)):
-            x, y = edges[edge, 0], edges[edge, 1]
+            x = edges[edge, 0]
+            y = edges[edge, 1]
             distance, is_met = meeting(
                 x - aims[0, lane],
                 y - aims[1, lane],
@@ -60,7 +63,8 @@ def met(aims, edges, rays):
                 aims[3, lane],
             )
             if is_met and distance < rays[0, lane]:
-                rays[0, lane], rays[1, lane] = distance, edge
+                rays[0, lane] = distance
+                rays[1, lane] = edge
 
 
 @compiled
@@ -87,7 +91,8 @@ def test_normal_numbers_are_normal():
 
 def test_uniform_numbers_are_uniform_and_of_their_key():
     keys = derive_keys(np.arange(100, dtype=np.uint64), np.ones(100, dtype=np.int64), 1)
-    numbers, again = np.empty((100, 100)), np.empty((1, 100))
+    numbers = np.empty((100, 100))
+    again = np.empty((1, 100))
     bounds = np.zeros(100), np.ones(100), np.arange(100)
     draw_rows(keys, *bounds, numbers)
     draw_rows(keys[41:42], *bounds, again)
@@ -106,15 +111,19 @@ def test_tiles_hold_every_cell(rows, columns, seed):
 @pytest.mark.parametrize(("share", "reach"), [(0.02, 6.0), (1.0, 1.6)])
 def test_what_is_taken_is_what_the_single_environment_marks(share, reach):
     generator = np.random.default_rng(3)
-    shape, extent = (75, 61), np.array([61.0, 75.0]) * CELL
+    shape = (75, 61)
+    extent = np.array([61.0, 75.0]) * CELL
     for _ in range(300):
         coverable = generator.random(shape) < share
-        seen, tiles = ~coverable, to_tiles(coverable)
+        seen = ~coverable
+        tiles = to_tiles(coverable)
         x, y = AREA[:2] + generator.uniform(0.0, 1.0, 2) * extent
-        angle, length = generator.uniform(-np.pi, np.pi), generator.uniform(0.0, reach)
+        angle = generator.uniform(-np.pi, np.pi)
+        length = generator.uniform(0.0, reach)
         # Rays stay within the walls, which the grid holds; some run along an axis.
         angle = generator.choice([angle, 0.0, np.pi / 2])
-        dx, dy = np.cos(angle), np.sin(angle)
+        dx = np.cos(angle)
+        dy = np.sin(angle)
         left = padded(tiles)
         new = taken(left, tiles.shape[1], tiles.shape[0], x, y, dx, dy, length, 0.1)
         assert new == marked(seen, x, y, dx, dy, length, 0.1)
@@ -123,7 +132,8 @@ def test_what_is_taken_is_what_the_single_environment_marks(share, reach):
 
 @pytest.mark.parametrize("count", [1, 4, 5])
 def test_rays_side_by_side_meet_the_walls_that_single_rays_meet(count):
-    generator, lanes = np.random.default_rng(1), 8
+    generator = np.random.default_rng(1)
+    lanes = 8
     for _ in range(300):
         edges = np.round(generator.uniform(0.0, 2.0, (count, 4)), 1)
         edges = edges[(edges[:, :2] != edges[:, 2:]).any(axis=1)]
@@ -131,7 +141,8 @@ def test_rays_side_by_side_meet_the_walls_that_single_rays_meet(count):
             continue
         # Rays to the ends of walls, and past them by as much as counts as a hit, or a little more;
         # some along a wall.
-        origins, ends = generator.uniform(0.0, 2.0, (lanes, 2)), edges.reshape(-1, 2)
+        origins = generator.uniform(0.0, 2.0, (lanes, 2))
+        ends = edges.reshape(-1, 2)
         origins[0] = edges[0, :2]
         aside = generator.choice(
             [0.0, 1e-16, 9e-10, 1.1e-9, 5e-9, 2e-8, 0.3], lanes
@@ -140,7 +151,8 @@ def test_rays_side_by_side_meet_the_walls_that_single_rays_meet(count):
         angles = np.arctan2(ways[:, 1], ways[:, 0]) + aside
         angles[1] = 0.0
         aims = np.stack((*origins.T, np.cos(angles), np.sin(angles)))
-        rays, single = np.zeros((4, lanes)), np.zeros((2, lanes))
+        rays = np.zeros((4, lanes))
+        single = np.zeros((2, lanes))
         rays[0] = single[0] = 1.6
         rays[1] = single[1] = -1.0
         cast(aims, edges, rays)
@@ -150,10 +162,13 @@ def test_rays_side_by_side_meet_the_walls_that_single_rays_meet(count):
 
 @pytest.mark.parametrize("share", [0.002, 0.02])
 def test_a_look_finds_unseen_cells_wherever_a_ray_takes_one(share):
-    generator, shape, lanes = np.random.default_rng(4), (75, 61), 8
+    generator = np.random.default_rng(4)
+    shape = (75, 61)
+    lanes = 8
     for _ in range(200):
         tiles = to_tiles(generator.random(shape) < share)
-        aims, rays = np.zeros((4, lanes)), np.zeros((4, lanes))
+        aims = np.zeros((4, lanes))
+        rays = np.zeros((4, lanes))
         # From anywhere and from corners of cells, along an axis or not.
         places = generator.uniform(20.0, 40.0, (2, lanes))
         places[:, ::2] = np.round(places[:, ::2])
@@ -170,7 +185,8 @@ def test_a_look_finds_unseen_cells_wherever_a_ray_takes_one(share):
 
 
 def test_walls_around_a_cell_are_all_that_a_beam_can_meet_from_it():
-    world, reach = load_world("env3"), RobotSpec().reach
+    world = load_world("env3")
+    reach = RobotSpec().reach
     index = build_wall_index(world.edges)
     starts, numbers = walls_around(index, reach)
     generator = np.random.default_rng(0)

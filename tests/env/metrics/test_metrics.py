@@ -68,7 +68,8 @@ def tilted(angle_deg: float, length: float = 0.2) -> FloatArray:
 def random_walk(seed: int, steps: int = 400) -> tuple[FloatArray, FloatArray]:
     """A true drive of about 18 m, and one that drifts away from it."""
     generator = np.random.default_rng(seed)
-    true, estimated = [np.array([1.0, -2.0, 0.3])], [np.array([1.0, -2.0, 0.3])]
+    true = [np.array([1.0, -2.0, 0.3])]
+    estimated = [np.array([1.0, -2.0, 0.3])]
     for _ in range(steps):
         motion = np.array([generator.uniform(0.0, 0.09), 0.0, generator.normal(0.0, 0.2)])
         true.append(se2.compose(true[-1], motion))
@@ -124,13 +125,12 @@ class TestTrajectory:
 
         def path(planar: FloatArray) -> PosePath3D:
             matrices = np.tile(np.eye(4), (len(planar), 1, 1))
-            cos, sin = np.cos(planar[:, 2]), np.sin(planar[:, 2])
-            matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 0], matrices[:, 1, 1] = (
-                cos,
-                -sin,
-                sin,
-                cos,
-            )
+            cos = np.cos(planar[:, 2])
+            sin = np.sin(planar[:, 2])
+            matrices[:, 0, 0] = cos
+            matrices[:, 0, 1] = -sin
+            matrices[:, 1, 0] = sin
+            matrices[:, 1, 1] = cos
             matrices[:, :2, 3] = planar[:, :2]
             return PosePath3D(poses_se3=list(matrices))
 
@@ -139,7 +139,9 @@ class TestTrajectory:
             return float(metric.get_statistic(evo_metrics.StatisticsType.rmse))
 
         true, estimated = random_walk(seed)
-        reference, estimate, aligned = path(true), path(estimated), path(estimated)
+        reference = path(true)
+        estimate = path(estimated)
+        aligned = path(estimated)
         aligned.align(reference, correct_scale=False)
         relative = evo_metrics.RPE(
             evo_metrics.PoseRelation.translation_part,
@@ -487,10 +489,8 @@ class TestAssociation:
         assert found == {"closures_right": 1, "closures_wrong": 1, "closures_mixed": 2}
 
     def test_beams_on_other_robots_by_hand(self) -> None:
-        dropped, seen = (
-            np.array([[True, False, True], [False, True, False]]),
-            np.array([[-2, -2, 3], [-1, -1, 0]]),
-        )
+        dropped = np.array([[True, False, True], [False, True, False]])
+        seen = np.array([[-2, -2, 3], [-1, -1, 0]])
         found = dropped_beam_metrics(dropped, seen)
         assert found == {
             "robot_beams_dropped": 0.5,

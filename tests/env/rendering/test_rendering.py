@@ -108,16 +108,15 @@ def test_a_new_episode_forgets_the_old_path():
 
 
 def test_rendering_changes_nothing_in_the_episode_nor_in_earlier_pictures():
-    drawn, plain = (
-        LimSlamEnv("env1", sensor_noise=0.02, render_mode="rgb_array"),
-        LimSlamEnv("env1", sensor_noise=0.02),
-    )
+    drawn = LimSlamEnv("env1", sensor_noise=0.02, render_mode="rgb_array")
+    plain = LimSlamEnv("env1", sensor_noise=0.02)
     drawn.reset(seed=0)
     plain.reset(seed=0)
     first = drawn.render()
     copy = first.copy()
     for _ in range(20):
-        with_picture, without = drawn.step(AHEAD), plain.step(AHEAD)
+        with_picture = drawn.step(AHEAD)
+        without = plain.step(AHEAD)
         drawn.render()
         np.testing.assert_array_equal(with_picture[0]["ranges"], without[0]["ranges"])
         np.testing.assert_array_equal(with_picture[4]["pose"], without[4]["pose"])
@@ -163,7 +162,8 @@ def colours_at(
     top, bottom, left, right = wall_box(picture)
     corners = world.edges.reshape(-1, 2)
     share = (np.array([x, y]) - corners.min(axis=0)) / np.ptp(corners, axis=0)
-    column, row = round(left + share[0] * (right - left)), round(bottom - share[1] * (bottom - top))
+    column = round(left + share[0] * (right - left))
+    row = round(bottom - share[1] * (bottom - top))
     return (
         picture[row - reach : row + reach + 1, column - reach : column + reach + 1]
         .reshape(-1, 3)
@@ -238,7 +238,8 @@ def test_an_overlay_is_drawn_where_it_says_and_only_there():
         frontier=np.array([(4.5, 4.5), (4.5, 4.7)]),
         plan=np.array([(0.0, 5.0), (1.0, 5.5), (2.0, 5.5)]),
     )
-    picture, plain = render(state_of(overlay=[overlay])), render(state_of())
+    picture = render(state_of(overlay=[overlay]))
+    plain = render(state_of())
     for x, y in ((1.0, 2.5), (2.5, 2.55), (4.0, 2.6)):
         assert shows(picture, x, y, rendering._BELIEF)
     for x, y in overlay.frontier:
@@ -274,7 +275,8 @@ def test_a_belief_that_is_far_off_is_drawn_as_far_as_it_can_be_seen(far):
         np.full((2, 2), -far),
         np.array([(4.0, 2.5), (far, 2.5)]),
     )
-    picture, plain = render(state_of(overlay=[lost])), render(state_of())
+    picture = render(state_of(overlay=[lost]))
+    plain = render(state_of())
     assert shows(picture, 2.0, 5.0, rendering._BELIEF)
     assert (colours_at(picture, 4.6, 2.5) != colours_at(plain, 4.6, 2.5)).any()
     np.testing.assert_array_equal(colours_at(picture, 0.5, 3.5), colours_at(plain, 0.5, 3.5))
@@ -326,7 +328,8 @@ def square(env: LimSlamEnv):
 
 
 def test_they_are_those_of_the_single_environment_and_all_of_one_size():
-    batch, singles = drawing(), [single(world) for world in WORLDS]
+    batch = drawing()
+    singles = [single(world) for world in WORLDS]
     batch.reset(seed=0)
     for env in singles:
         env.reset(seed=0)
@@ -335,7 +338,8 @@ def test_they_are_those_of_the_single_environment_and_all_of_one_size():
         for action, env in zip(actions, singles, strict=True):
             env.step(action)
     # What the caller does with the arrays does not change the pictures.
-    observations["ranges"][:], infos["pose"][:] = 0.3, 1.0
+    observations["ranges"][:] = 0.3
+    infos["pose"][:] = 1.0
     pictures = batch.render()
     assert [picture.shape for picture in pictures] == [(640, 640, 3)] * 3
     for picture, env in zip(pictures, singles, strict=True):
@@ -354,7 +358,8 @@ def test_they_are_those_of_the_single_environment_and_all_of_one_size():
     ids=["worlds", "starts", "a new plan at each reset", "plans"],
 )
 def test_each_environment_is_drawn_in_its_own_world(world, arguments, options):
-    batch, looked_at = drawing(world, **arguments), 0
+    batch = drawing(world, **arguments)
+    looked_at = 0
     for seed in (1, None):
         observations, infos = batch.reset(seed=seed, options=options)
         for number in range(3):
@@ -380,7 +385,8 @@ def test_each_environment_is_drawn_in_its_own_world(world, arguments, options):
 def test_a_reset_with_a_seed_of_some_leaves_the_others_in_their_worlds(arguments):
     batch = drawing(SMALL, autoreset_mode="Disabled", **arguments)
     batch.reset(seed=0)
-    worlds, pictures = [batch._simulation.world(number) for number in range(3)], batch.render()
+    worlds = [batch._simulation.world(number) for number in range(3)]
+    pictures = batch.render()
     batch.reset(seed=5, options={"reset_mask": np.array([True, False, False])})
     assert [batch._simulation.world(number) == worlds[number] for number in range(3)] == [
         False,
@@ -396,7 +402,8 @@ def test_a_reset_with_a_seed_of_some_leaves_the_others_in_their_worlds(arguments
 
 
 def test_a_new_episode_begins_a_new_trail():
-    batch, fresh = drawing(["env1"] * 2, 2, max_episode_steps=5), drawing(["env1"] * 2, 2)
+    batch = drawing(["env1"] * 2, 2, max_episode_steps=5)
+    fresh = drawing(["env1"] * 2, 2)
     batch.reset(seed=0)
     for _ in range(6):
         batch.step(np.full((2, 2), 0.5))

@@ -202,7 +202,8 @@ def drive_with(pygame, monkeypatch):
     real = play_module.LimSlamEnv.step
 
     def drive(*script: str):
-        poses, left = [], list(script)
+        poses = []
+        left = list(script)
 
         def step_and_press(env, action):
             result = real(env, action)

@@ -28,10 +28,14 @@ def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     """The cells that beams and body mark at each of the poses in turn, one robot alone in the
     world.
     """
-    grid, beams = coverage_grid(world, ROBOT, world.starts[:1]), len(ROBOT.beams)
+    grid = coverage_grid(world, ROBOT, world.starts[:1])
+    beams = len(ROBOT.beams)
     noise = noise_table(vars(NoiseConfig()), ROBOT)
-    walls, table = build_wall_index(world.edges), beam_table(ROBOT)
-    seen, new, found = np.zeros_like(grid.coverable), 0, np.zeros(1, dtype=np.int64)
+    walls = build_wall_index(world.edges)
+    table = beam_table(ROBOT)
+    seen = np.zeros_like(grid.coverable)
+    new = 0
+    found = np.zeros(1, dtype=np.int64)
     is_moved = True
     for pose in poses[:, None]:
         drive_and_observe(
@@ -99,11 +103,9 @@ def test_a_body_marks_the_cells_that_it_touches():
     generator = np.random.default_rng(1)
     rows, columns = np.mgrid[0:40, 0:40]
     for _ in range(200):
-        x, y, radius = (
-            generator.uniform(-0.5, 4.5),
-            generator.uniform(-0.5, 4.5),
-            generator.uniform(0.03, 0.6),
-        )
+        x = generator.uniform(-0.5, 4.5)
+        y = generator.uniform(-0.5, 4.5)
+        radius = generator.uniform(0.03, 0.6)
         seen = np.zeros((40, 40), dtype=bool)
         mark_disc(seen, seen.copy(), np.array([0.0, 0.0, CELL]), x, y, radius)
         gap = np.hypot(
@@ -126,8 +128,10 @@ def test_a_cell_behind_a_wall_is_not_marked():
 def test_a_beam_marks_the_cells_that_it_crosses_and_no_others():
     world = box_world()
     seen = seen_from(world, np.array([[1.05, 1.05, 0.0]]))
-    y, x = (np.nonzero(seen)[0] + 0.5) * CELL, (np.nonzero(seen)[1] + 0.5) * CELL
-    bearing, distance = np.arctan2(y - 1.05, x - 1.05), np.hypot(x - 1.05, y - 1.05)
+    y = (np.nonzero(seen)[0] + 0.5) * CELL
+    x = (np.nonzero(seen)[1] + 0.5) * CELL
+    bearing = np.arctan2(y - 1.05, x - 1.05)
+    distance = np.hypot(x - 1.05, y - 1.05)
     near_a_beam = np.zeros(len(x), dtype=bool)
     for beam in ROBOT.beams:
         off_axis = distance * np.abs(np.sin(bearing - beam.angle))
@@ -146,7 +150,8 @@ def test_coverage_grows_from_above_zero_and_never_beyond_one():
     simulation = Simulation(world, ROBOT)
     _, truth = simulation.reset(np.random.SeedSequence(0), NoiseConfig(sensor_noise=0.04))
     total = simulation.coverage_grid.total
-    shares, area = [truth.coverage], truth.new_area[0]
+    shares = [truth.coverage]
+    area = truth.new_area[0]
     generator = np.random.default_rng(0)
     for step in range(2000):
         if step % 25 == 0:

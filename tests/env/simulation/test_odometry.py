@@ -30,7 +30,8 @@ def drive(
     wall at the end.
     """
     env = LimSlamEnv(HALL, noise=noise, coverage_goal=None)
-    poses, wheels = [env.reset(seed=seed, options={"start": start})[1]["pose"]], []
+    poses = [env.reset(seed=seed, options={"start": start})[1]["pose"]]
+    wheels = []
     for action in actions:
         observation, *_, info = env.step(np.array(action))
         wheels.append(observation["wheels"])
@@ -60,7 +61,8 @@ def test_the_simulation_s_wheels_err_apart_and_step_by_step():
 
 
 def test_the_simulation_carries_what_its_encoders_left_out():
-    resolution, actions = 0.004, [(0.11, -0.47)] * 500
+    resolution = 0.004
+    actions = [(0.11, -0.47)] * 500
     told, _, _ = drive(NoiseConfig(wheel_variance=0.0, encoder_resolution=resolution), actions)
     assert (told[:, 0] == 0.0).any(), "some steps are too small to be told"
     np.testing.assert_allclose(told / resolution, np.round(told / resolution), atol=1e-4)
@@ -98,7 +100,8 @@ def test_in_contact_the_encoders_go_on_reporting_the_wheels():
 
 
 def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
-    share, count = 0.4, 400
+    share = 0.4
+    count = 400
     wheels, poses, _ = drive(
         NoiseConfig(wheel_variance=0.0, slip_rate=8.0, slip_share=share),
         [(1.0, 0.8)] * count,

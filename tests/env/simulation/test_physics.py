@@ -12,7 +12,11 @@ from limslam_env.geometry import FloatArray, se2, segment
 from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.simulation import Simulation
 
-RADIUS, AXLE, PERIOD, TOP = 0.10, 0.16, 0.1, 0.03  # TOP is the wheel travel of one step, m
+# TOP is the wheel travel of one step, m
+RADIUS = 0.10
+AXLE = 0.16
+PERIOD = 0.1
+TOP = 0.03
 DEEPEST = 1e-3
 
 
@@ -203,13 +207,13 @@ def test_fast_robots_do_not_pass_through_each_other(speed):
 
 @pytest.mark.parametrize(("robots", "speed"), [(1, 0.3), (3, 2.0)], ids=["usual", "fast"])
 def test_the_compiled_step_moves_robots_as_the_physics_does(robots, speed):
-    robot, world = RobotSpec(max_wheel_speed=speed), load_world("env3")
-    simulation, physics = (
-        Simulation(world, robot, robots),
-        Physics(world.edges, robot.radius, robots),
-    )
+    robot = RobotSpec(max_wheel_speed=speed)
+    world = load_world("env3")
+    simulation = Simulation(world, robot, robots)
+    physics = Physics(world.edges, robot.radius, robots)
     physics.place(simulation.reset(np.random.SeedSequence(1), NoiseConfig())[1].poses, robot.axle)
-    generator, touches = np.random.default_rng(2), 0
+    generator = np.random.default_rng(2)
+    touches = 0
     for step in range(600):
         if step % 20 == 0:
             actions = generator.uniform(-0.2, 1.0, (robots, 2))

@@ -45,7 +45,8 @@ def random_rays(
     grid.
     """
     generator = np.random.default_rng(seed)
-    corners, margin = edges.reshape(-1, 2), 0.9 * CELL
+    corners = edges.reshape(-1, 2)
+    margin = 0.9 * CELL
     origins = generator.uniform(
         corners.min(axis=0) - margin, corners.max(axis=0) + margin, (count, 2)
     )
@@ -60,7 +61,8 @@ def brute_force(
     edges: FloatArray, origins: FloatArray, directions: FloatArray, lengths: FloatArray
 ):
     """Every ray against every wall, by Cramer's rule."""
-    start, span = edges[None, :, :2] - origins[:, None], (edges[:, 2:] - edges[:, :2])[None]
+    start = edges[None, :, :2] - origins[:, None]
+    span = (edges[:, 2:] - edges[:, :2])[None]
     cross = directions[:, None, 0] * span[..., 1] - directions[:, None, 1] * span[..., 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = (start[..., 0] * span[..., 1] - start[..., 1] * span[..., 0]) / cross
@@ -80,8 +82,11 @@ def look(
     start.
     """
     noise = noise_table(vars(NoiseConfig(cone=cone)), robot)
-    is_moved, count, cells = True, len(robot.beams), np.zeros((1, 1), dtype=bool)
-    hits, ranges = np.zeros((1, count), dtype=np.int64), np.zeros((1, count), dtype=np.float32)
+    is_moved = True
+    count = len(robot.beams)
+    cells = np.zeros((1, 1), dtype=bool)
+    hits = np.zeros((1, count), dtype=np.int64)
+    ranges = np.zeros((1, count), dtype=np.float32)
     drive_and_observe(
         is_moved,
         0,
@@ -179,7 +184,8 @@ def test_a_robot_is_seen_at_its_rim_and_not_by_its_own_beams():
 
 def test_robots_see_each_other_where_geometry_says():
     generator = np.random.default_rng(2)
-    simulation, seen = Simulation(BOX_WORLD, ROBOT, 3), 0
+    simulation = Simulation(BOX_WORLD, ROBOT, 3)
+    seen = 0
     for _ in range(60):
         poses = np.column_stack(
             (generator.uniform(0.5, 3.5, (3, 2)), generator.uniform(-math.pi, math.pi, 3))
@@ -241,7 +247,8 @@ def readings_of(
     ideal: float, count: int, seed: int = 0, hit: int = 0, **noise: float
 ) -> FloatArray:
     """Many readings of the same thing."""
-    table, generator = noise_table(vars(NoiseConfig(**noise)), FRONT), np.random.default_rng(seed)
+    table = noise_table(vars(NoiseConfig(**noise)), FRONT)
+    generator = np.random.default_rng(seed)
     drawn = zip(generator.standard_normal(count), generator.random(count), strict=True)
     return np.array(
         [
@@ -252,7 +259,9 @@ def readings_of(
 
 
 def test_the_simulation_makes_the_asked_noise_apart_for_each_beam():
-    simulation, std, count = Simulation(BOX_WORLD, FRONT), 0.03, 4000
+    simulation = Simulation(BOX_WORLD, FRONT)
+    std = 0.03
+    count = 4000
     simulation.reset(
         np.random.SeedSequence(1), NoiseConfig(sensor_noise=std), np.array([1.0, 1.0, 0.0])
     )
@@ -288,10 +297,8 @@ def ranges_of_a_drive(robots: int = 1, **noise: float) -> FloatArray:
 def test_dropout_does_not_change_the_other_draws():
     # A step takes the same numbers whatever the noise is: a run with dropout is paired with one
     # without.
-    without, dropped = (
-        ranges_of_a_drive(sensor_noise=0.02),
-        ranges_of_a_drive(sensor_noise=0.02, dropout=0.3),
-    )
+    without = ranges_of_a_drive(sensor_noise=0.02)
+    dropped = ranges_of_a_drive(sensor_noise=0.02, dropout=0.3)
     kept = dropped != 1.5
     assert kept.any()
     np.testing.assert_array_equal(dropped[kept], without[kept])
@@ -299,7 +306,8 @@ def test_dropout_does_not_change_the_other_draws():
 
 
 def test_dropout_reads_the_maximum_at_the_asked_rate():
-    count, chance = 20_000, 0.2
+    count = 20_000
+    chance = 0.2
     share = (readings_of(0.8, count, dropout=chance) == 1.5).mean()
     assert abs(share - chance) < 5.0 * math.sqrt(chance * (1.0 - chance) / count)
     assert set(readings_of(0.8, 200, dropout=1.0)) == {1.5}
@@ -315,7 +323,8 @@ def test_readings_are_clipped_to_what_the_beam_can_report(ideal, bound):
 
 @pytest.mark.parametrize("ideal", [0.2, 1.3])
 def test_a_sharp_sensor_s_noise_grows_with_the_squared_range(ideal):
-    count, growth = 20_000, 0.02
+    count = 20_000
+    growth = 0.02
     found = readings_of(ideal, count, range_noise_growth=growth)
     assert found.std() == pytest.approx(growth * ideal**2, rel=5.0 / math.sqrt(2.0 * count))
     # What it has at any range comes on top, as independent errors add up.
@@ -356,7 +365,8 @@ def post(bearing: float, distance: float, width: float) -> list[tuple[float, flo
     corners = np.array(
         [(distance, -half), (distance + width, -half), (distance + width, half), (distance, half)]
     )
-    cos, sin = math.cos(bearing), math.sin(bearing)
+    cos = math.cos(bearing)
+    sin = math.sin(bearing)
     return [
         tuple(edge)
         for edge in ring((corners @ np.array([[cos, sin], [-sin, cos]]) + (1.0, 2.0)).tolist())
@@ -365,7 +375,8 @@ def post(bearing: float, distance: float, width: float) -> list[tuple[float, flo
 
 @pytest.mark.parametrize("bearing", np.linspace(-0.12, 0.12, 5))
 def test_a_beam_with_a_cone_reads_a_post_beside_its_middle(bearing):
-    cone, width = 0.1, 0.06
+    cone = 0.1
+    width = 0.06
     world = box_with(*post(bearing, 0.8, width))
     ray, _ = sight(world, ONE_BEAM, (1.0, 2.0, 0.0))
     wide, truth = sight(world, ONE_BEAM, (1.0, 2.0, 0.0), noise=NoiseConfig(cone=cone))
@@ -422,7 +433,8 @@ def test_a_beam_measures_at_the_reset_and_then_once_a_period_in_its_phase():
     )
     robot = RobotSpec(beams=beams)
     simulation = Simulation(box_with((1.2, 0.4, 1.6, 0.4), (2.0, 0.4, 2.4, 0.4)), robot)
-    noise, seeds = NoiseConfig(sensor_noise=0.02), np.random.SeedSequence(3)
+    noise = NoiseConfig(sensor_noise=0.02)
+    seeds = np.random.SeedSequence(3)
     results = [simulation.reset(seeds, noise, np.array([0.8, 1.0, 0.0]))]
     results += [simulation.step([(1.0, 1.0)]) for _ in range(40)]
     ranges = np.array([readings.ranges[0] for readings, _ in results])

@@ -54,7 +54,8 @@ def box_world(**changes) -> World:
 
 def gap_walls(width: float, middle: float) -> FloatArray:
     """The box with a gap in its lower wall."""
-    left, right = middle - 0.5 * width, middle + 0.5 * width
+    left = middle - 0.5 * width
+    right = middle + 0.5 * width
     return np.array([[0.0, 0.0, left, 0.0], [right, 0.0, 4.0, 0.0], *BOX[1:]])
 
 

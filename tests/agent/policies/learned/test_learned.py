@@ -99,7 +99,8 @@ class Trap:
     "kind", ["missing", "text", "pickle", "empty", "other", "misfit", "infinite"]
 )
 def test_what_is_no_network_is_refused_and_executes_nothing(kind, tmp_path):
-    path, held = tmp_path / "weights.npz", network().weights
+    path = tmp_path / "weights.npz"
+    held = network().weights
     view = np.array([8, 4, 0.15, 1.45])
     if kind == "text":
         path.write_text("weights", encoding="utf-8")
@@ -122,7 +123,8 @@ def test_turning_what_is_seen_turns_the_scores_but_for_the_compass():
     blind.weights["first.weight"][:, -2:] = blind.weights["score.weight"][:, -2:] = 0.0
     told = np.random.default_rng(2).random(VIEW.size(6)).astype(np.float32)
     size = 8 * VIEW.rows
-    view, rest = told[:size].reshape(-1, 8), told[size:]
+    view = told[:size].reshape(-1, 8)
+    rest = told[size:]
     turned = np.concatenate((np.roll(view, 3, axis=1).ravel(), rest))
     np.testing.assert_allclose(blind.scores(turned), np.roll(blind.scores(told), 3), atol=1e-4)
 
@@ -193,9 +195,11 @@ def test_it_drives_where_the_network_says(turn):
         def scores(self, _):
             return np.eye(24)[turn] * 50.0
 
-    policy, pose = LearnedPolicy(ROBOT, PolicyConfig(), Fixed()), np.array([1.0, 0.55, 0.0])
+    policy = LearnedPolicy(ROBOT, PolicyConfig(), Fixed())
+    pose = np.array([1.0, 0.55, 0.0])
     frontiers = FrontierPolicy(ROBOT, PolicyConfig(speed=ROBOT.max_wheel_speed, min_frontier=8))
-    hall, turned = grid_of("\n".join(["#" * 24, *["#" + "." * 23] * 10, "#" * 24])), 0.0
+    hall = grid_of("\n".join(["#" * 24, *["#" + "." * 23] * 10, "#" * 24]))
+    turned = 0.0
     for step in range(80):
         told = belief(
             pose,

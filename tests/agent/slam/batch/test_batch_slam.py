@@ -68,7 +68,9 @@ def explored(
     drive.
     """
     envs = [world_env(name, noise, tick) for name in WORLDS]
-    config, seen, starts = config_of(noise), [], []
+    config = config_of(noise)
+    seen = []
+    starts = []
     for env in envs:
         observation, info = env.reset(seed=seed)
         seen.append(observation)
@@ -76,7 +78,8 @@ def explored(
     agents = [LimSlamAgent(ROBOT, config, WallFollower(ROBOT, config.policy)) for _ in envs]
     for agent, start in zip(agents, starts, strict=True):
         agent.reset(start)
-    batch, worst = BatchSlam(ROBOT, config, len(envs), num_threads=2), 0.0
+    batch = BatchSlam(ROBOT, config, len(envs), num_threads=2)
+    worst = 0.0
     batch.reset(starts)
     for _ in range(steps):
         beliefs = batch.step([each["ranges"] for each in seen], [each["wheels"] for each in seen])
@@ -106,14 +109,13 @@ def test_it_is_the_single_filter_in_every_world(noise: float, tick: float) -> No
 
 
 def test_contact_is_noticed_alike() -> None:
-    env, config = world_env("env3", 0.02), config_of(0.02)
+    env = world_env("env3", 0.02)
+    config = config_of(0.02)
     observation, info = env.reset(seed=3)
-    slam, batch, in_contact, slipped = (
-        LineSlam(ROBOT, config, info["pose"]),
-        BatchSlam(ROBOT, config, 1),
-        0,
-        0.0,
-    )
+    slam = LineSlam(ROBOT, config, info["pose"])
+    batch = BatchSlam(ROBOT, config, 1)
+    in_contact = 0
+    slipped = 0.0
     batch.reset(info["pose"][None])
     for number in range(250):
         before = slam.covariance
@@ -146,7 +148,8 @@ def followed(
     start: FloatArray = START,
 ) -> tuple[LineSlam, BatchSlam]:
     """Both after a drive during which they were equal."""
-    slam, batch = LineSlam(robot, config, start), BatchSlam(robot, config, 1, num_threads=1, size=0)
+    slam = LineSlam(robot, config, start)
+    batch = BatchSlam(robot, config, 1, num_threads=1, size=0)
     batch.reset(start[None])
     for seen in observations:
         slam.step(seen)
@@ -213,7 +216,8 @@ def test_threads_change_no_bit() -> None:
 
 
 def test_a_reset_of_some_leaves_the_others() -> None:
-    batch, fresh = batch_of(3, num_threads=1), batch_of(3, num_threads=1)
+    batch = batch_of(3, num_threads=1)
+    fresh = batch_of(3, num_threads=1)
     for seen in DRIVE[:150]:
         batch.step([seen["ranges"]] * 3, [seen["wheels"]] * 3)
     mask = np.array([False, True, False])
@@ -229,7 +233,8 @@ def test_a_reset_of_some_leaves_the_others() -> None:
 
 
 def test_without_room_for_landmarks_none_is_founded() -> None:
-    full, roomy = batch_of(1, capacity=Capacity(landmarks=2)), batch_of(1)
+    full = batch_of(1, capacity=Capacity(landmarks=2))
+    roomy = batch_of(1)
     for seen in DRIVE:
         beliefs = full.step(seen["ranges"][None], seen["wheels"][None])
         roomy.step(seen["ranges"][None], seen["wheels"][None])
@@ -241,7 +246,8 @@ def test_without_room_for_landmarks_none_is_founded() -> None:
 
 def test_a_small_grid_goes_along() -> None:
     # 41 cells hold all that the crop of a robot shows that has not turned.
-    small, large = batch_of(1, capacity=Capacity(cells=41), size=21), batch_of(1, size=21)
+    small = batch_of(1, capacity=Capacity(cells=41), size=21)
+    large = batch_of(1, size=21)
     observations, _ = drive(np.array([[-1.0, 0.5, 30.0, 0.5]]), START, straight(20.0))
     for seen in observations:
         here = small.step(seen["ranges"][None], seen["wheels"][None])
@@ -304,7 +310,9 @@ def same(one: dict[str, Any], other: dict[str, Any], row: int) -> None:
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None:
-    env, alone, ended = SlamVectorObservation(vector(mode), config_of(0.02)), singles(), [False] * 3
+    env = SlamVectorObservation(vector(mode), config_of(0.02))
+    alone = singles()
+    ended = [False] * 3
     told, _ = env.reset(seed=100)
     for row, one in enumerate(alone):
         same(told, one.reset(seed=100 + row)[0], row)
@@ -315,7 +323,8 @@ def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None
         assert env.observation_space.contains(told)
         for row, one in enumerate(alone):
             if mode == AutoresetMode.NEXT_STEP and ended[row]:
-                seen, ended[row] = one.reset()[0], False
+                seen = one.reset()[0]
+                ended[row] = False
             else:
                 seen, _, over, stopped, _ = one.step(actions[row])
                 assert (over, stopped) == (terminated[row], truncated[row])

@@ -94,7 +94,8 @@ def ranges_from(state: FloatArray, ekf: CloneEKF, readings: Readings, index: int
     numbers too.
     """
     first = 3 * (ekf.arrays.counts[LINES_FROM] // 3) + 2 * index
-    offset, theta = state[first], state[first + 1]
+    offset = state[first]
+    theta = state[first + 1]
     anchor = ekf.anchors[index]
     results = []
     for clone, (x, y), angle in zip(
@@ -144,11 +145,15 @@ def world_moved(state: FloatArray, ekf: CloneEKF, motion: FloatArray) -> FloatAr
     """The state after the whole world, but for the anchors, has moved (m, m) and turned (rad) about
     the first robot.
     """
-    middle, anchors, moved = state[:2], ekf.anchors, state.astype(motion.dtype)
-    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    middle = state[:2]
+    anchors = ekf.anchors
+    moved = state.astype(motion.dtype)
+    cos = np.cos(motion[2])
+    sin = np.sin(motion[2])
 
     def point(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y = x - middle[0], y - middle[1]
+        x = x - middle[0]
+        y = y - middle[1]
         return middle[0] + motion[0] + cos * x - sin * y, middle[1] + motion[1] + sin * x + cos * y
 
     of_lines = slice(
@@ -207,7 +212,8 @@ def assert_scaled(found: FloatArray, wanted: NDArray[np.floating[Any]], toleranc
 def test_a_clone_equals_its_pose_with_full_correlation_and_leaves_the_rest_alone() -> None:
     ekf, _ = driven(0, clones=3)
     with_line(ekf, np.array([0.1, 1.5]), np.array([0.3, 0.6]), 1)
-    state, covariance = ekf.x.copy(), ekf.P.copy()
+    state = ekf.x.copy()
+    covariance = ekf.P.copy()
     number = ekf.clone()
     assert (number, ekf.num_clones, ekf.num_lines) == (3, 4, 1)
     copied = np.vstack((np.eye(len(state)), np.eye(3, len(state))))
@@ -221,7 +227,8 @@ def test_a_clone_equals_its_pose_with_full_correlation_and_leaves_the_rest_alone
 
 def test_a_clone_and_the_reported_pose_have_the_jitter_of_the_encoders() -> None:
     ekf, _ = driven(0, clones=3, pose=np.array([0.4, -0.2, 2.0]))
-    jitter, before = jitter_of(np.array([0.01, 0.02]), 0.16), ekf.P.copy()
+    jitter = jitter_of(np.array([0.01, 0.02]), 0.16)
+    before = ekf.P.copy()
     ekf.predict(Motion(np.zeros(3), np.zeros((3, 3)), jitter=jitter))
     ekf.clone()
     by_jitter = se2.compose_jacobians(ekf.pose, np.zeros(3))[1]
@@ -244,7 +251,8 @@ def test_one_iteration_without_huber_equals_the_dense_filter(heading: float) -> 
     index = with_line(ekf, wall, se2.compose(start, np.array([0.3, 0.7, 0.0]))[:2], 3)
     with_line(ekf, np.array([0.2, -1.0]), np.array([2.0, 2.0]), 8)
     seen = measured(ekf, readings, index, 6)
-    state, covariance = ekf.x.copy(), ekf.P.copy()
+    state = ekf.x.copy()
+    covariance = ekf.P.copy()
     jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), state)
     off = seen.ranges - ranges_from(state, ekf, seen, index)
     wanted, left = dense_update(state, covariance, jacobian, off, STD**2 * np.eye(len(off)))
@@ -265,7 +273,8 @@ def test_the_iterated_update_reaches_the_optimum_of_belief_and_readings_together
     ekf.P[:] *= 30.0
     index = with_line(ekf, np.array([0.0, 1.6]), np.array([0.3, 0.7]), seed, 3e-3)
     seen = measured(ekf, readings, index, seed)
-    prior, covariance = ekf.x.copy(), ekf.P.copy()
+    prior = ekf.x.copy()
+    covariance = ekf.P.copy()
     # Gauss and Newton in information form; errors of the belief are kept beside the robot's own
     # while the state moves.
     optimum = prior.copy()
@@ -381,11 +390,10 @@ def seen_twice(theta: float, turned: bool, seed: int, scale: float = 1e-3) -> Cl
     line.
     """
     ekf, _ = driven(seed, clones=2)
-    tangent, unit = (
-        np.array([-math.sin(theta), math.cos(theta)]),
-        np.array([math.cos(theta), math.sin(theta)]),
-    )
-    anchor, other = np.array([1.0, -0.5]), np.array([1.0, -0.5]) + 1.3 * tangent + 0.04 * unit
+    tangent = np.array([-math.sin(theta), math.cos(theta)])
+    unit = np.array([math.cos(theta), math.sin(theta)])
+    anchor = np.array([1.0, -0.5])
+    other = np.array([1.0, -0.5]) + 1.3 * tangent + 0.04 * unit
     second = np.array([0.03, theta + 0.02 - math.pi]) if turned else np.array([-0.03, theta + 0.02])
     with_line(ekf, np.array([0.02, theta]), anchor, seed)
     with_line(ekf, np.array([0.1, -1.0]), np.array([3.0, 2.0]), seed + 1)
@@ -426,7 +434,9 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     theta: float, turned: bool, older: int, younger: int
 ) -> None:
     ekf = seen_twice(theta, turned, 2)
-    before, covariance, anchors = ekf.x.copy(), ekf.P.copy(), ekf.anchors.copy()
+    before = ekf.x.copy()
+    covariance = ekf.P.copy()
+    anchors = ekf.anchors.copy()
     off = apart(before, ekf, older, younger, turned)
     jacobian = derivative(lambda x: apart(x, ekf, older, younger, turned), before)
     exact = np.diag(EQUALITY_NOISE)
@@ -571,7 +581,8 @@ class _Wanderer:
 @pytest.mark.parametrize("count", [5_000, pytest.param(100_000, marks=pytest.mark.slow)])
 def test_the_covariance_stays_symmetric_and_positive_over_random_operations(count: int) -> None:
     wanderer = _Wanderer(7)
-    ekf, asymmetry = wanderer.ekf, 0.0
+    ekf = wanderer.ekf
+    asymmetry = 0.0
     for number in range(count):
         wanderer.do()
         assert len(ekf.x) == 3 + 2 * len(wanderer.walls) + 3 * len(wanderer.clones)
@@ -594,11 +605,14 @@ def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_i
     ekf.P[:6, :6] = spread(6, 2)
     ekf.clone(1)
     by_calibration = spread(3, 3, scale=1.0)
-    covariance, before = ekf.P.copy(), ekf.x.copy()
+    covariance = ekf.P.copy()
+    before = ekf.x.copy()
     ekf.predict(Motion(STEP, MOTION, by_calibration), 1)
     by_pose, by_increment = se2.compose_jacobians(before[3:6], STEP)
-    dense, noise = np.eye(len(covariance)), np.zeros_like(covariance)
-    dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_calibration
+    dense = np.eye(len(covariance))
+    noise = np.zeros_like(covariance)
+    dense[3:6, 3:6] = by_pose
+    dense[3:6, 9:12] = by_increment @ by_calibration
     noise[3:6, 3:6] = by_increment @ MOTION @ by_increment.T
     np.testing.assert_allclose(ekf.P, dense @ covariance @ dense.T + noise, atol=1e-12)
     np.testing.assert_allclose(ekf.poses[1], se2.compose(before[3:6], STEP))

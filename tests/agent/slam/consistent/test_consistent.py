@@ -126,7 +126,8 @@ def test_a_robot_that_stands_opens_no_wall() -> None:
 
 def test_a_wall_drawn_over_a_door_opens_when_beams_pass() -> None:
     # The door is shut on the way there, and open on the way back.
-    there, way = np.zeros(3), straight(4.0)
+    there = np.zeros(3)
+    way = straight(4.0)
     first, poses = drive(CORRIDOR, there, way)
     opened = np.array([[-3.0, 0.4, 1.5, 0.4], [2.3, 0.4, 8.0, 0.4], [-3.0, -0.4, 8.0, -0.4]])
     second, more = drive(opened, poses[-1], [*turn(180.0), *way, *turn(180.0), *way])
@@ -166,7 +167,8 @@ def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
 @pytest.mark.parametrize(("degrees", "yaw"), [(60.0, 0.0), (120.0, 2.8)])
 def test_a_corner_gives_two_walls_at_its_angle(degrees: float, yaw: float) -> None:
     # The wall to the left turns right, and the robot with it, from as far as it has always been.
-    start, bend = np.array([1.0, -1.0, yaw]), math.radians(-degrees)
+    start = np.array([1.0, -1.0, yaw])
+    bend = math.radians(-degrees)
     corner = np.array([2.0, 0.5])
     beyond = corner + 4.0 * np.array([math.cos(bend), math.sin(bend)])
     walls = placed(np.array([[-2.0, 0.5, *corner], [*corner, *beyond]]), start)
@@ -312,7 +314,8 @@ def test_the_map_of_one_robot_helps_the_other() -> None:
     # The first maps the corridor; the second comes from 3 m away, where there is nothing to see,
     # with bad wheels.
     walls = np.array([[0.0, 0.4, 8.0, 0.4], [0.0, -0.4, 8.0, -0.4]])
-    ahead, behind = np.array([0.3, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
+    ahead = np.array([0.3, 0.0, 0.0])
+    behind = np.array([-3.0, 0.0, 0.0])
     good, _ = drive(walls, ahead, straight(5.0))
     bad, poses = drive(walls, behind, straight(5.0))
     lying = [
@@ -323,7 +326,8 @@ def test_the_map_of_one_robot_helps_the_other() -> None:
         for each in bad
     ]
     alone, _ = slam_after(lying, CONFIG, behind)
-    team, records = LineSlam(ROBOT, CONFIG, np.array([ahead, behind])), list[AssociationRecord]()
+    team = LineSlam(ROBOT, CONFIG, np.array([ahead, behind]))
+    records = list[AssociationRecord]()
     team.on_association = records.append
     still = Observation(wheels=np.zeros(2, dtype=np.float32))
     for each in good:
@@ -415,7 +419,8 @@ def test_odometry_poses_serve_in_place_of_wheels() -> None:
     start = np.array([1.0, 2.0, -2.9])
     walls = placed(ROOM, start)
     observations, poses = drive(walls, start, along(LOOP), noise=0.02)
-    logged, before = list[Observation](), poses[0]
+    logged = list[Observation]()
+    before = poses[0]
     for observation, pose in zip(observations, poses, strict=True):
         logged.append(
             Observation(

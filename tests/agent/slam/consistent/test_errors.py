@@ -48,11 +48,13 @@ WALLS = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
 LAP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
 ROUTE = along([*LAP, *LAP, (0.0, 0.0)])
 CONE = math.radians(3.0)
-LINE, ANCHOR = np.array([0.3, 0.4]), np.array([1.0, 0.5])
+LINE = np.array([0.3, 0.4])
+ANCHOR = np.array([1.0, 0.5])
 
 
 def one_reading(bearing: float, cone: float) -> Readings:
-    none, sources = np.zeros(1), np.zeros((1, 2), dtype=int)
+    none = np.zeros(1)
+    sources = np.zeros((1, 2), dtype=int)
     return Readings(
         np.zeros(1, dtype=int), np.zeros((1, 2)), np.array([bearing]), none, sources, cone=cone
     )
@@ -68,7 +70,9 @@ def distance_to(line: FloatArray, bearing: float, cone: float, pose: FloatArray)
 def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone: float) -> None:
     if abs(abs(slant) - cone) < 1e-3:  # where the border ray becomes the perpendicular
         return
-    pose, bearing, step = np.array([-0.5, 0.2, 0.3]), LINE[1] + slant - 0.3, 1e-5
+    pose = np.array([-0.5, 0.2, 0.3])
+    bearing = LINE[1] + slant - 0.3
+    step = 1e-5
     found = expected_ranges(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
     rows = expected_rows(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
     by_pose = [
@@ -101,7 +105,8 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
 
 def counted(factor: float, growth: float, seed: int = 0) -> RangeNoise:
     """What is known after 60 segments of 20 readings with noise that is not as specified."""
-    generator, noise = np.random.default_rng(seed), RangeNoise(RangeSensor(NOISE), 1.5, 0.005, 1.25)
+    generator = np.random.default_rng(seed)
+    noise = RangeNoise(RangeSensor(NOISE), 1.5, 0.005, 1.25)
     for _ in range(60):
         ranges = generator.uniform(0.1, 1.4, 20)
         stds = np.hypot(factor * NOISE, growth * ranges**2)
@@ -171,7 +176,9 @@ def mapped(
     observations: list[Observation], config: AgentConfig, robot: RobotSpec = ROBOT
 ) -> tuple[Mapper, FloatArray, FloatArray]:
     """The mapper after a drive, and its poses (t, 3) and covariances (t, 3, 3)."""
-    mapper, poses, covariances = Mapper(robot, config), [], []
+    mapper = Mapper(robot, config)
+    poses = []
+    covariances = []
     for seen in observations:
         mapper.step(seen)
         poses.append(mapper.poses[0])
@@ -306,7 +313,9 @@ def test_a_beam_that_breaks_later_does_not_take_the_robot_back_to_its_start(monk
 
 
 def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
-    robot, squared, without = replace(ROBOT, cone=CONE), [], []
+    robot = replace(ROBOT, cone=CONE)
+    squared = []
+    without = []
     for seed in range(4):
         observations, true = observed(CONE, 10 + seed)
         for each, found in ((robot, squared), (ROBOT, without)):
@@ -325,7 +334,9 @@ def test_an_impossible_opening_angle_is_refused(cone: float) -> None:
         RobotSpec(cone=cone)
 
 
-ROBOT, NOMINAL, QUIET = RobotSpec(), NominalNoise(0.02), NominalNoise(0.0, 0.0)
+ROBOT = RobotSpec()
+NOMINAL = NominalNoise(0.02)
+QUIET = NominalNoise(0.0, 0.0)
 TWO_WALLS = np.array([[0.6, 0.5 * math.pi], [-0.6, 0.5 * math.pi]])
 SIDES = ([0, 1], [4, 5])
 # So small that no curvature counts: the filters are compared where they are linear.
@@ -345,7 +356,9 @@ class Corridor:
     """A drive between two walls by filters that get the same motions and readings."""
 
     def __init__(self, filters: list[CloneEKF], true: OdometryCalibration, seed: int = 0) -> None:
-        self.filters, self.true, self.pose = filters, true, np.zeros(3)
+        self.filters = filters
+        self.true = true
+        self.pose = np.zeros(3)
         self.generator = np.random.default_rng(seed)
 
     def move(self, left: float, right: float, assumed: OdometryCalibration) -> None:
@@ -390,7 +403,8 @@ class Corridor:
 def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_its_state_knows() -> (
     None
 ):
-    separate, joint = CloneEKF(np.zeros(3), PRIOR), CloneEKF(np.zeros(3), PRIOR)
+    separate = CloneEKF(np.zeros(3), PRIOR)
+    joint = CloneEKF(np.zeros(3), PRIOR)
     joint.calibrate()
     Corridor([separate, joint], OdometryCalibration(2e-5, -1e-5, 3e-5)).drive()
     assert separate.calibration() is None
@@ -432,8 +446,10 @@ def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -
 
 
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
-    generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
-    errors, noise = OdometryErrors(1, prior), 1e-4 * np.eye(15)
+    generator = np.random.default_rng(1)
+    prior = np.diag([1e-4, 4e-4, 9e-4])
+    errors = OdometryErrors(1, prior)
+    noise = 1e-4 * np.eye(15)
     jacobian = generator.normal(size=(15, 3))
     innovation = jacobian @ [0.05, 0.05, 0.05] + 0.01 * generator.normal(size=15)
     whitened = 100.0 * np.column_stack((jacobian, innovation, np.zeros(15)))
@@ -449,7 +465,8 @@ def seen_on_walls(innovations: FloatArray, bent: float) -> RangeErrors:
     """What walls say by whitened innovations (n, 8) of a turn of the only beam, if the walls are
     curved by a share of what such a beam would show.
     """
-    errors, generator = RangeErrors((0.02, 0.05, 1.0, 0.05)), np.random.default_rng(2)
+    errors = RangeErrors((0.02, 0.05, 1.0, 0.05))
+    generator = np.random.default_rng(2)
     for wall, innovation in enumerate(innovations):
         by_turn = np.linspace(10.0, 60.0, 8)
         by_errors = np.column_stack((np.zeros((8, 3)), by_turn))
@@ -522,12 +539,10 @@ def test_a_robot_with_uneven_wheels_knows_its_way() -> None:
     errors = []
     for seed in (5, 6, 7):
         observations, poses = uneven_laps(0.04, seed=seed)
-        mapper, off = (
-            Mapper(
-                FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), "if_needed"), poses[0]
-            ),
-            [],
+        mapper = Mapper(
+            FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), "if_needed"), poses[0]
         )
+        off = []
         for seen, true in zip(observations, poses, strict=True):
             mapper.step(seen)
             off.append(float(np.hypot(*(mapper.slam.pose - true)[:2])))
@@ -555,10 +570,8 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again() -> None:
     np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
     found = mapper.slam.odometry_calibration
     assert found is not None
-    turns, std = (
-        np.array([-1.0, 1.0, 0.0]),
-        math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0])),
-    )
+    turns = np.array([-1.0, 1.0, 0.0])
+    std = math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
     assert turns @ np.array(found[0]) == pytest.approx(uneven, abs=4.0 * std)
 
 
@@ -576,7 +589,8 @@ def config(noise: float, *, enabled: bool) -> AgentConfig:
 def after_laps(noise: float) -> tuple[LineSlam, float]:
     """The mapping half after two laps with uneven wheels, and its position's RMS error, m."""
     log = laps_of_square(noise, seed=5, laps=2.0)
-    slam, errors = LineSlam(FOUR_BEAMS, config(noise, enabled=True), log.poses[0]), []
+    slam = LineSlam(FOUR_BEAMS, config(noise, enabled=True), log.poses[0])
+    errors = []
     for seen, true in zip(log.observations, log.poses, strict=True):
         slam.step({**seen, "wheels": (COUNTED * seen["wheels"]).astype(np.float32)})
         errors.append(float(np.sum((slam.pose[:2] - true[:2]) ** 2)))
@@ -589,10 +603,8 @@ def test_uneven_wheels_are_found_out(noise: float) -> None:
     assert slam.odometry_calibration is not None
     factors, covariance = slam.odometry_calibration
     true = 1.0 / COUNTED - 1.0
-    uneven, std = (
-        np.array([-1.0, 1.0, 0.0]),
-        math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]),
-    )
+    uneven = np.array([-1.0, 1.0, 0.0])
+    std = math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
     assert std < 0.2 * (true[1] - true[0])
     assert uneven @ np.array(factors) == pytest.approx(true[1] - true[0], abs=3.0 * std)
     assert error < 0.3

@@ -84,11 +84,10 @@ class Drive(NamedTuple):
         """
         chosen = np.arange(len(self.hits)) if members is None else members
         line = fit_line(self.points[chosen], self.std).line if about is None else about
-        places, readings = places_of(self.belief.arrays, self.readings.clones), self.readings
-        points, variances = (
-            points_of(self.belief, readings, float(line[1])),
-            readings.variances(self.std),
-        )
+        places = places_of(self.belief.arrays, self.readings.clones)
+        readings = self.readings
+        points = points_of(self.belief, readings, float(line[1]))
+        variances = readings.variances(self.std)
         segments, owner, _ = straight_segments(
             self.belief.arrays, places, readings.rows, points, chosen, line, self.std, variances
         )
@@ -124,8 +123,13 @@ def drive_past(
     """Drive along x for ``length`` (m), and read walls from corner to corner (k, 2) to the left."""
     generator = np.random.default_rng(seed)
     nominal = NominalNoise(noise, wheel_variance)
-    truth, belief, std = np.zeros(3), CloneEKF(np.zeros(3)), max(noise, 0.005)
-    clones, beams, ranges, hits = [], [], [], []
+    truth = np.zeros(3)
+    belief = CloneEKF(np.zeros(3))
+    std = max(noise, 0.005)
+    clones = []
+    beams = []
+    ranges = []
+    hits = []
     for _ in range(round(length / STEP) + 1):
         clone = belief.clone()
         for beam in LEFT:
@@ -178,7 +182,8 @@ WALL = chain((-3.0, 0.6), (9.0, 0.0))
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_a_straight_wall_stays_one_piece_whatever_odometry_makes_of_it(noise: float) -> None:
-    counts, lost = Counter[int](), []
+    counts = Counter[int]()
+    lost = []
     for seed in range(60):
         drive = drive_past(WALL, 0.8, noise, seed)
         pieces = drive.pieces()
@@ -209,7 +214,9 @@ def test_a_bend_of_the_way_is_not_taken_for_one_of_the_wall() -> None:
 @pytest.mark.parametrize("noise", NOISES)
 @pytest.mark.parametrize("angle", [25.0, -25.0])
 def test_two_facets_are_cut_near_the_corner_between_them(noise: float, angle: float) -> None:
-    corners, right, off = facets(angle), 0, []
+    corners = facets(angle)
+    right = 0
+    off = []
     for seed in range(30):
         drive = drive_past(corners, 1.0, noise, seed)
         pieces = drive.pieces()
@@ -233,7 +240,8 @@ def test_two_facets_are_cut_near_the_corner_between_them(noise: float, angle: fl
 def test_the_end_of_another_wall_is_cut_off(noise: float) -> None:
     # The wall steps back by 6 cm, and 10 cm of what comes then were taken for it.
     corners = chain((-1.0, 0.6), (1.8, 0.0), (0.06, 90.0), (1.0, 0.0))
-    kept, wrong = 0.0, 0
+    kept = 0.0
+    wrong = 0
     for seed in range(20):
         drive = drive_past(corners, 1.0, noise, seed)
         members = np.nonzero(drive.hits[:, 0] < 0.9)[0]
@@ -288,7 +296,8 @@ def test_a_filter_that_is_too_sure_is_corrected_by_the_only_wall_nearby() -> Non
 
 def test_the_batch_is_corrected_alike() -> None:
     observations, _ = misled(6.0)
-    slam, batch = LineSlam(ROBOT, CONFIG, START), BatchSlam(ROBOT, CONFIG, 1, num_threads=1, size=0)
+    slam = LineSlam(ROBOT, CONFIG, START)
+    batch = BatchSlam(ROBOT, CONFIG, 1, num_threads=1, size=0)
     batch.reset(START[None])
     for seen in observations:
         slam.step(seen)
@@ -446,7 +455,8 @@ def beams_from(
     walls: WallMap, origins: FloatArray, heading: float, free: float, std: float = 0.005
 ) -> None:
     """Beams that begin at points (n, 2) and went a distance into the same direction."""
-    beam, ekf = np.zeros((1, 8)), walls._belief.arrays
+    beam = np.zeros((1, 8))
+    ekf = walls._belief.arrays
     beam[0, FARTHEST] = 10.0
     for origin in origins:
         ekf.x[:3] = *origin, heading

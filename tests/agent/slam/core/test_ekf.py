@@ -49,7 +49,8 @@ def dense_predict(
     dense: ExtendedKalmanFilter, increment: FloatArray, covariance: FloatArray
 ) -> None:
     x, y, theta = dense.x[:3]
-    cos, sin = math.cos(theta), math.sin(theta)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
     size = len(dense.x)
     dense.F = np.eye(size)
     dense.F[0, 2] = -sin * increment[0] - cos * increment[1]
@@ -83,7 +84,8 @@ def dense_observe(
 
     def jacobian(state: FloatArray) -> FloatArray:
         sign = -1.0 if unsigned(state) < 0.0 else 1.0
-        cos, sin = math.cos(state[first + 1]), math.sin(state[first + 1])
+        cos = math.cos(state[first + 1])
+        sin = math.sin(state[first + 1])
         full = np.zeros((2, len(state)))
         full[:, :3] = [[-sign * cos, -sign * sin, 0.0], [0.0, 0.0, -1.0]]
         full[:, first : first + 2] = [[sign, sign * (state[0] * sin - state[1] * cos)], [0.0, 1.0]]
@@ -132,7 +134,8 @@ def test_a_hundred_random_steps_equal_filterpys_dense_filter(seed: int) -> None:
     generator = np.random.default_rng(seed)
     ekf = LineEKF(np.array([0.5, -0.3, 2.8]), spread(3, seed, 1e-4))
     dense = ExtendedKalmanFilter(dim_x=3, dim_z=2)
-    dense.x, dense.P = ekf.pose, ekf.joint_pose_covariance
+    dense.x = ekf.pose
+    dense.P = ekf.joint_pose_covariance
     for line in random_lines(20, generator):
         seen = line_geometry.to_frame(line, ekf.pose) + generator.multivariate_normal(
             np.zeros(2), SEEN
@@ -164,13 +167,17 @@ def test_a_hundred_random_steps_equal_filterpys_dense_filter(seed: int) -> None:
 def test_errors_stay_inside_their_chi_square_band_where_the_model_is_nearly_linear() -> None:
     # Noise so small that curvature does not count; what is left is the algebra, and NEES tells if
     # it is right.
-    runs, steps, small = 200, 20, 1e-4
+    runs = 200
+    steps = 20
+    small = 1e-4
     generator = np.random.default_rng(21)
     start = np.array([0.4, -0.2, 1.0])
     first, motion, seen = (
         small**2 * np.diag(d) for d in ([1.0, 2.0, 0.5], [1.0, 0.2, 0.7], [1.0, 2.0])
     )
-    pose_nees, state_nees, innovations = np.zeros(runs), np.zeros(runs), np.zeros(runs)
+    pose_nees = np.zeros(runs)
+    state_nees = np.zeros(runs)
+    innovations = np.zeros(runs)
     for run in range(runs):
         truth = generator.multivariate_normal(start, first)
         ekf = LineEKF(start, first)
@@ -239,7 +246,8 @@ def moved_pair() -> LineEKF:
 
 
 def test_the_filter_of_two_is_two_filters_until_they_see_one_wall() -> None:
-    together, alone = LineEKF(STARTS), [LineEKF(start) for start in STARTS]
+    together = LineEKF(STARTS)
+    alone = [LineEKF(start) for start in STARTS]
     for robot, ekf in enumerate(alone):
         for turn in (0.1, -0.05, 0.2):
             for filter_, number in ((together, robot), (ekf, 0)):

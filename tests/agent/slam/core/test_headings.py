@@ -85,7 +85,8 @@ def test_a_heading_that_is_repeated_is_no_new_one() -> None:
 
 
 def test_a_unit_that_does_not_work_is_not_used() -> None:
-    turning, slow = np.array([-0.01, 0.01]), np.array([0.02, 0.0205])
+    turning = np.array([-0.01, 0.01])
+    slow = np.array([0.02, 0.0205])
     for wheels in (turning, slow):
         turns = all_turns([1.0] * 40, wheels)
         expected = 40 * (wheels[1] - wheels[0]) / ROBOT.axle
@@ -94,7 +95,8 @@ def test_a_unit_that_does_not_work_is_not_used() -> None:
 
 def test_a_heading_in_coarse_steps_holds_a_straight_drive_against_the_wheels() -> None:
     """The wheels say that the robot turns by less than a step of the heading in a second."""
-    slipping, step = np.array([0.02, 0.02008]), math.radians(1.0)
+    slipping = np.array([0.02, 0.02008])
+    step = math.radians(1.0)
     turns = all_turns([step, 0.0, *[0.0] * 100], slipping)
     assert abs(sum(each.angle for each in turns[1:])) < 1.5 * step
 
@@ -139,7 +141,8 @@ def test_headings_that_are_late_are_brought_up_to_date_by_the_wheels(late: int) 
 
 
 def test_late_ranges_delay_the_heading_as_they_delay_the_wheels() -> None:
-    waiting, told = WaitingTravel(1), []
+    waiting = WaitingTravel(1)
+    told = []
     for step in range(8):
         seen = {"wheels": STRAIGHT, "yaw": float(wrap_angle(3.0 + 0.1 * step))}
         (late,) = waiting.synchronous([seen], 1.5)
@@ -152,10 +155,12 @@ def test_late_ranges_delay_the_heading_as_they_delay_the_wheels() -> None:
 
 
 def test_the_derivative_by_the_constant_errors_is_that_of_central_differences() -> None:
-    wheels, turn = np.array([0.05, 0.02]), Turn(0.4, 1e-6, measured=0.6, seconds=0.3)
+    wheels = np.array([0.05, 0.02])
+    turn = Turn(0.4, 1e-6, measured=0.6, seconds=0.3)
     motion = steered(Motion(np.zeros(3), np.eye(3)), wheels, turn, NOISE)
     np.testing.assert_allclose(motion.increment, arc(0.035, 0.4))
-    values, step = np.array([0.02, -0.03, 0.05]), 1e-6
+    values = np.array([0.02, -0.03, 0.05])
+    step = 1e-6
 
     def moved(errors: FloatArray) -> FloatArray:
         return calibrated(motion, ROBOT.axle, HeadingCalibration(*errors.tolist())).increment
@@ -174,10 +179,8 @@ def test_the_smoother_has_the_same_motions_and_derivatives() -> None:
     wheels = np.tile([[[0.02, 0.03]]], (4, 1, 1))
     ranges = np.full((4, 1, len(ROBOT.beams)), 0.5)
     problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges, yaw=yaw)
-    values, turns = (
-        np.array([[0.01, 0.02, 0.03, 0.0]]),
-        turns_of(ROBOT, NOISE, yaw[:, 0], wheels[:, 0]),
-    )
+    values = np.array([[0.01, 0.02, 0.03, 0.0]])
+    turns = turns_of(ROBOT, NOISE, yaw[:, 0], wheels[:, 0])
     found = problem.motions(values)[0]
     for row, turn in zip(found, turns[1:], strict=True):
         motion = steered(Motion(np.zeros(3), np.eye(3)), wheels[0, 0], turn, NOISE)
@@ -203,7 +206,8 @@ def test_a_heading_may_be_a_number_or_an_array_of_one(yaw: object) -> None:
 
 @pytest.mark.parametrize("yaw", [math.inf, "north", np.zeros(2), np.zeros(0), [[1.0, 2.0]], {}, 1j])
 def test_a_bad_heading_is_one_clear_error_and_changes_nothing(yaw: object) -> None:
-    mapper, agent = Mapper(ROBOT), LimSlamAgent(ROBOT)
+    mapper = Mapper(ROBOT)
+    agent = LimSlamAgent(ROBOT)
     agent.reset(np.zeros(3))
     observation = {"wheels": STRAIGHT, "yaw": yaw}
     for step in (mapper.step, agent.act):
@@ -236,11 +240,13 @@ def test_the_heading_of_a_log_of_poses_is_named_as_not_used() -> None:
 
 def drive(seed: int, seconds: float, noise: NoiseConfig, stands: float = 0.0) -> RecordedLog:
     """A drive around the loop of a world, after standing for some seconds, with true headings."""
-    world, generator = load_world("env1"), np.random.default_rng(seed)
+    world = load_world("env1")
+    generator = np.random.default_rng(seed)
     simulation = Simulation(world, ROBOT)
     told = replace(noise, sensor_noise=0.02)
     readings, truth = simulation.reset(np.random.SeedSequence(seed), told, imu=True)
-    rows, goal = [(readings, truth.poses[0])], 0
+    rows = [(readings, truth.poses[0])]
+    goal = 0
     for step in range(round(seconds / ROBOT.control_period)):
         action = (0.0, 0.0)
         if step * ROBOT.control_period >= stands:
@@ -347,7 +353,9 @@ def test_headings_without_a_single_reading_change_nothing() -> None:
 
 def test_pose_and_drift_are_as_uncertain_as_the_filter_says() -> None:
     """Monte Carlo: the normalised squared error of the pose is 3 on average, of the drift 1."""
-    generator, poses, drifts = np.random.default_rng(0), [], []
+    generator = np.random.default_rng(0)
+    poses = []
+    drifts = []
     for seed in range(20):
         true = float(generator.normal(0.0, math.radians(0.5)))
         log = drive(100 + seed, 25.0, NoiseConfig(yaw_drift=true))

@@ -117,14 +117,16 @@ def test_the_threshold_is_of_votes_for_one_line() -> None:
 def test_votes_are_those_of_opencv() -> None:
     for seed in range(20):
         generator = np.random.default_rng(seed)
-        theta, size = generator.uniform(0.0, math.pi), int(generator.integers(20, 80))
+        theta = generator.uniform(0.0, math.pi)
+        size = int(generator.integers(20, 80))
         points = np.vstack(
             (
                 wall(0.3, theta, -0.5, 0.5, count=size, std=0.02),
                 generator.uniform(-1.0, 1.0, (20, 2)),
             )
         )
-        reach, votes = float(np.hypot(*points.T).max()), int(generator.integers(5, 12))
+        reach = float(np.hypot(*points.T).max())
+        votes = int(generator.integers(5, 12))
         expected = cv2.HoughLinesPointSet(
             points.astype(np.float32)[:, None],
             lines_max=lines.MAX_CANDIDATES,
@@ -143,7 +145,8 @@ def test_votes_are_those_of_opencv() -> None:
         )
 
 
-angles, lengths = st.floats(-math.pi, math.pi), st.floats(0.3, 4.0)
+angles = st.floats(-math.pi, math.pi)
+lengths = st.floats(0.3, 4.0)
 
 
 def points_on(line: FloatArray, first: float, last: float, count: int = 15) -> FloatArray:
@@ -183,12 +186,14 @@ PLACES = [
 
 @pytest.mark.parametrize(("middle", "degrees"), PLACES)
 def test_the_covariance_is_what_noise_scatters(middle: tuple[float, float], degrees: float) -> None:
-    std, runs = 0.01, 2000
+    std = 0.01
+    runs = 2000
     generator = np.random.default_rng(5)
     pose = np.array([*middle, math.radians(degrees)])
     wall = se2.transform_points(pose, np.column_stack((np.linspace(-0.5, 0.5, 20), np.zeros(20))))
     truth = fit_line(wall, std)
-    distances, differences = np.empty(runs), np.empty((runs, 2))
+    distances = np.empty(runs)
+    differences = np.empty((runs, 2))
     for run in range(runs):
         # Noise across the wall alone: that is what the fit's std means.
         fit = fit_line(

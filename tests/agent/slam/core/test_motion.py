@@ -124,7 +124,8 @@ def test_the_derivative_by_the_factors_is_that_of_central_differences(
     wheels: tuple[float, float],
 ) -> None:
     motion = motion_from_wheels(np.array(wheels), ROBOT, QUIET)
-    step, at = 1e-6, np.array(SIZES)
+    step = 1e-6
+    at = np.array(SIZES)
     columns = [
         (
             calibrated(motion, 0.16, OdometryCalibration(*(at + step * unit))).increment
@@ -172,8 +173,10 @@ def test_a_wheel_that_stands_says_nothing_of_a_tick() -> None:
 
 
 def test_wheels_without_a_report_go_on_with_a_growing_variance() -> None:
-    waiting, wheels = WaitingTravel(1, ROBOT), np.full((6, 2), 0.03)
-    wheels[2:4], wheels[4:] = np.nan, 0.01
+    waiting = WaitingTravel(1, ROBOT)
+    wheels = np.full((6, 2), 0.03)
+    wheels[2:4] = np.nan
+    wheels[4:] = 0.01
     seen = [waiting.synchronous([{"wheels": each}], 0.0)[0] for each in wheels]
     given = np.array([each["wheels"] for each in seen])
     np.testing.assert_allclose(given[:, 0], [0.03, 0.03, 0.03, 0.03, 0.01, 0.01])
@@ -183,7 +186,8 @@ def test_wheels_without_a_report_go_on_with_a_growing_variance() -> None:
 
 
 def test_the_jitter_is_the_covariance_of_parts_of_ticks() -> None:
-    ticks, axle = np.array([0.01, 0.004]), 0.2
+    ticks = np.array([0.01, 0.004])
+    axle = 0.2
     parts = np.random.default_rng(0).uniform(-0.5, 0.5, (20000, 2)) * ticks
     poses = np.array([se2.arc(*se2.wheels_to_arc(each, axle)) for each in parts])
     np.testing.assert_allclose(jitter_of(ticks, axle), np.cov(poses.T), rtol=0.03, atol=2e-7)
@@ -194,7 +198,9 @@ TRAVEL = np.random.default_rng(0).normal(0.03, 0.02, (40, 2, 2))
 
 def told(travel, delays):
     """What is given of the travel (t, n, 2), step by step, and what waits after each step."""
-    waiting, given, waits = WaitingTravel(travel.shape[1]), [], []
+    waiting = WaitingTravel(travel.shape[1])
+    given = []
+    waits = []
     for row, delay in zip(travel, delays, strict=True):
         seen = waiting.synchronous(
             [{"wheels": wheels, "ranges": np.ones(1)} for wheels in row], delay
@@ -209,7 +215,8 @@ def test_travel_waits_for_so_many_steps(delay):
     given, waits = told(TRAVEL, [delay] * len(TRAVEL))
     np.testing.assert_allclose(given, held_back(TRAVEL, delay), atol=1e-15)
     np.testing.assert_allclose(waits, np.cumsum(TRAVEL - given, axis=0), atol=1e-15)
-    whole, share = int(delay), delay - int(delay)
+    whole = int(delay)
+    share = delay - int(delay)
     expected = (1.0 - share) * TRAVEL[10 - whole] + share * TRAVEL[9 - whole]
     np.testing.assert_allclose(given[10], expected, atol=1e-15)
 
@@ -220,7 +227,8 @@ def test_no_travel_is_lost_when_the_delay_changes():
 
 
 def test_ahead_is_the_arc_of_the_travel_and_behind_leads_back():
-    pose, axle = np.array([1.0, 2.0, 0.5]), 0.2
+    pose = np.array([1.0, 2.0, 0.5])
+    axle = 0.2
     quarter = 0.25 * np.pi * axle
     # A quarter turn on the spot, and a quarter of a circle of radius 1 m to the left.
     np.testing.assert_allclose(
@@ -233,7 +241,9 @@ def test_ahead_is_the_arc_of_the_travel_and_behind_leads_back():
 
 
 def test_a_clone_is_where_late_ranges_were_read():
-    start, step, turn = np.array([1.0, 2.0, 0.3]), 0.03, 0.02
+    start = np.array([1.0, 2.0, 0.3])
+    step = 0.03
+    turn = 0.02
     ekf = CloneEKF(start, range_errors=(0.02, 0.05, 1.0))
     ekf.predict(Motion(se2.arc(step, turn), np.zeros((3, 3))))
     ekf.clone()
@@ -245,7 +255,8 @@ def test_a_clone_is_where_late_ranges_were_read():
     np.testing.assert_array_equal(ekf.by_errors[:3, DELAY], np.zeros(3))
 
 
-STD, NOISY = 0.02, NominalNoise(0.02)
+STD = 0.02
+NOISY = NominalNoise(0.02)
 LEAST = 0.05
 ALL = np.ones(6, dtype=bool)
 RIGHT_OF_FRONT = 3  # at -15 degrees
@@ -295,7 +306,8 @@ def test_the_smoother_allows_the_same_slip() -> None:
     ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
     wheels = np.full((1, len(ranges) - 1, 2), 0.02)
     slips = slip_covariances(ROBOT, STD, wheels, ranges, np.ones(ranges.shape, dtype=bool))[0]
-    contacts, total = Contacts(ROBOT, STD), np.zeros((3, 3))
+    contacts = Contacts(ROBOT, STD)
+    total = np.zeros((3, 3))
     contacts.slip(0.0, ranges[0, 0], ALL)
     for row in ranges[1:, 0]:
         total += slip_covariance(*contacts.slip(0.02, row, ALL))
@@ -311,16 +323,20 @@ def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
     walls = [[0, 0, 2.5, 0], [2.5, 0, 2.5, 2], [2.5, 2, 0, 2], [0, 2, 0, 0], [1.2, 0.0, 1.2, 0.5]]
     world = World("room", (2.5, 2.0), np.array(walls, dtype=float))
-    simulation, generator = Simulation(world, ROBOT, 1), np.random.default_rng(seed)
+    simulation = Simulation(world, ROBOT, 1)
+    generator = np.random.default_rng(seed)
     start = np.array([0.5, 1.0, generator.uniform(-0.4, 0.4)])
     readings, truth = simulation.reset(
         np.random.SeedSequence(seed), NoiseConfig(sensor_noise=STD), start
     )
-    rows, pushed, turning = [(readings.ranges[0], readings.wheels[0], truth.poses[0])], 0, 0
+    rows = [(readings.ranges[0], readings.wheels[0], truth.poses[0])]
+    pushed = 0
+    turning = 0
     for _ in range(250):
         pushed = pushed + 1 if (rows[-1][0][1:5] <= ROBOT.too_near[1:5]).any() else 0
         if pushed > 10:
-            pushed, turning = 0, int(generator.integers(8, 16))
+            pushed = 0
+            turning = int(generator.integers(8, 16))
         action = (-0.6, 0.6) if turning else (0.7, 0.7)
         turning = max(turning - 1, 0)
         readings, truth = simulation.step([action])
@@ -332,9 +348,11 @@ def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 def consistency(seed: int) -> tuple[float, float]:
     """Mean NEES / 3 of the filter and of the smoothed path."""
     ranges, wheels, true = bumping(seed)
-    slam, records = LineSlam(ROBOT, preset("consistent", NOISY), true[0]), []
+    slam = LineSlam(ROBOT, preset("consistent", NOISY), true[0])
+    records = []
     slam.on_association = records.append
-    poses, covariances = [], []
+    poses = []
+    covariances = []
     for row, travel in zip(ranges, wheels, strict=True):
         slam.step({"ranges": row, "wheels": travel})
         poses.append(slam.poses)

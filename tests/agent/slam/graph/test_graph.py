@@ -65,10 +65,8 @@ def keys_of(log):
 
 def test_two_corrections_after_each_other_are_one():
     log = wandering()
-    first, second = (
-        np.array([0.05, 0.03, -0.02, 0.2, 0.02]),
-        np.array([-0.02, 0.01, 0.04, -0.1, 0.01]),
-    )
+    first = np.array([0.05, 0.03, -0.02, 0.2, 0.02])
+    second = np.array([-0.02, 0.01, 0.04, -0.1, 0.01])
     twice = corrected(corrected(log, first), second).odometry
     once = corrected(log, joined_bias(first, second)).odometry
     # The direction of a motion turns by half of the missing heading, which is not exactly additive.
@@ -99,7 +97,8 @@ def with_odometry_rows(log, earlier=0.0):
 @pytest.mark.parametrize("earlier", [0.0, 0.004])
 def test_points_are_the_same_whichever_row_has_the_motion(earlier):
     log = wandering()
-    plain, split = keys_of(log), keys_of(with_odometry_rows(log, earlier))
+    plain = keys_of(log)
+    split = keys_of(with_odometry_rows(log, earlier))
     assert len(plain.in_robot) > 400
     np.testing.assert_array_equal(plain.in_robot, split.in_robot)
     np.testing.assert_array_equal(plain.point_key, split.point_key)
@@ -145,7 +144,8 @@ def test_a_break_of_odometry_parts_a_log_in_two():
 def central_differences(function, values, step=1e-6):
     columns = []
     for place in range(values.size):
-        high, low = values.copy(), values.copy()
+        high = values.copy()
+        low = values.copy()
         high.flat[place] += step
         low.flat[place] -= step
         columns.append((function(high) - function(low)) / (2.0 * step))
@@ -210,15 +210,15 @@ def test_link_jacobian():
 
 
 def test_line_jacobian():
-    pose, place = RNG.normal(0.0, 2.0, 3), RNG.normal(0.0, 2.0, 2)
-    centre, angle = RNG.normal(0.0, 2.0, 2), 0.4
+    pose = RNG.normal(0.0, 2.0, 3)
+    place = RNG.normal(0.0, 2.0, 2)
+    centre = RNG.normal(0.0, 2.0, 2)
+    angle = 0.4
 
     def factor(unknowns):
         x, y, heading, turn, offset = unknowns
-        moved, seen = (
-            centre + offset * np.array([np.cos(angle), np.sin(angle)]),
-            rotation(heading) @ place + [x, y],
-        )
+        moved = centre + offset * np.array([np.cos(angle), np.sin(angle)])
+        seen = rotation(heading) @ place + [x, y]
         return line_factor(
             np.array([[x, y, heading]]), seen[None], np.array([angle + turn]), moved[None]
         )
@@ -230,11 +230,9 @@ def test_line_jacobian():
 
 def test_robust_factors_are_summed_with_their_weights():
     columns = np.array([[0, 1, 3], [0, 1, 4], [0, 1, 3], [2, 1, 4]])
-    jacobian, errors, equations = (
-        RNG.normal(size=(4, 3)),
-        np.array([0.1, -0.4, 0.02, 3.0]),
-        NormalEquations(5),
-    )
+    jacobian = RNG.normal(size=(4, 3))
+    errors = np.array([0.1, -0.4, 0.02, 3.0])
+    equations = NormalEquations(5)
     add_robust(equations, columns, jacobian, errors, 0.2, 2.0)
     wanted = np.zeros(5)
     for row, each, error in zip(columns, jacobian, errors, strict=True):
@@ -244,7 +242,8 @@ def test_robust_factors_are_summed_with_their_weights():
 
 def test_the_sparse_step_equals_a_dense_one():
     equations = NormalEquations(9)
-    first, second = np.array([0, 1, 0]), np.array([1, 2, 2])
+    first = np.array([0, 1, 0])
+    second = np.array([1, 2, 2])
     poses = RNG.normal(0.0, 1.0, (3, 3))
     error, jacobian = relation_factor(poses, first, second, RNG.normal(0.0, 1.0, (3, 3)))
     information = np.tile(np.diag([4.0, 5.0, 6.0]), (3, 1, 1))
@@ -344,7 +343,8 @@ def test_the_best_pose_of_a_window_is_found(seed):
     points = thinned(
         se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell
     )
-    window, guess = Window(1.3, np.radians(20.0), np.radians(5.0)), generator.normal(0.0, 0.2, 3)
+    window = Window(1.3, np.radians(20.0), np.radians(5.0))
+    guess = generator.normal(0.0, 0.2, 3)
     found = match(search_grid(chunk.grid, MAPS.cell, window.shift), points, guess, window, -1.0)
     best = NO_MATCH
     for turn, x, y in np.ndindex(9, 27, 27):
@@ -390,7 +390,8 @@ def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, s
     origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
     grid = draw_grid(places, origins, 4.5, MAPS)
     chunk = LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
-    search, guess = search_grid(chunk.grid, MAPS.cell, 4.0), np.array([0.0, 0.0, 0.3])
+    search = search_grid(chunk.grid, MAPS.cell, 4.0)
+    guess = np.array([0.0, 0.0, 0.3])
     points = se2.transform_points(se2.inverse(guess), chunk.points)
     turned = (
         se2.transform_points(se2.inverse(guess), places),
@@ -404,7 +405,8 @@ def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, s
 
 def test_too_few_points_to_tell_places_apart_are_not_matched():
     chunk = chunk_of(corner(np.random.default_rng(3)))
-    grid, window = search_grid(chunk.grid, MAPS.cell, 0.6), Window(0.6, 0.2, 0.1)
+    grid = search_grid(chunk.grid, MAPS.cell, 0.6)
+    window = Window(0.6, 0.2, 0.1)
     enough = chunk.points[: matching.LEAST_POINTS]
     assert match(grid, enough, np.zeros(3), window, 0.6).score > 0.9
     assert match(grid, enough[1:], np.zeros(3), window, 0.6).score == NO_MATCH
@@ -436,7 +438,8 @@ INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
 
 def ring(laps=2, sides=4, each=6):
     """True poses of chunks 2.5 m apart round a square."""
-    pose, poses = np.zeros(3), [np.zeros(3)]
+    pose = np.zeros(3)
+    poses = [np.zeros(3)]
     for step in range(laps * sides * each):
         turn = np.pi / 2.0 if step % each == each - 1 else 0.0
         pose = se2.compose(pose, np.array([2.5, 0.0, turn]))
@@ -483,7 +486,8 @@ def test_right_loops_bring_a_drifting_chain_back(truth):
 
 def test_wrong_loops_lose_their_weight(truth):
     generator = np.random.default_rng(4)
-    hops, right = drifting(truth, bias=0.02), loops_of(truth, right_pairs(truth))
+    hops = drifting(truth, bias=0.02)
+    right = loops_of(truth, right_pairs(truth))
     wrong = [
         Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7)
         for a in generator.integers(0, 30, 5)
@@ -570,7 +574,8 @@ def test_alignment_removes_what_moves_and_turns_all_positions():
                 axis=0,
             )
         )
-        cos, sin = np.cos(turn), np.sin(turn)
+        cos = np.cos(turn)
+        sin = np.sin(turn)
         moved = (sample - sample.mean(axis=0)) @ np.array([[cos, sin], [-sin, cos]])
         errors.append(((moved - centred) ** 2).sum(axis=1).mean())
     assert np.mean(errors) == pytest.approx(np.trace(left) / 40.0, rel=0.02)

@@ -194,10 +194,8 @@ def test_a_stretch_is_found_while_driving():
         + straight(6.0)
     )
     signed = recorded_drive(walls(), wheels)
-    log, config = (
-        without_signs(signed),
-        replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1)),
-    )
+    log = without_signs(signed)
+    config = replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1))
     graph = OnlineGraph(log, log.odometry[0], config)
     for event in zip(log.time, log.odometry, log.ranges, log.hit, strict=True):
         graph.step(*event)
@@ -249,7 +247,8 @@ def driven(data, start, count):
     """The graph after the first events, and at each: pose, covariance, whether there was a job, and
     position_std.
     """
-    graph, found = OnlineGraph(data, start), []
+    graph = OnlineGraph(data, start)
+    found = []
     for row in range(count):
         graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
         found.append((graph.pose, graph.covariance, graph.job_ms > 0.0, graph.position_std))
@@ -265,11 +264,14 @@ def lap():
 def test_a_pose_uses_no_later_event(lap):
     data, truth, (_, poses, covariances, _, _) = lap
     # Whatever comes after the cut, even nonsense, changes nothing before it.
-    odometry, ranges = data.odometry.copy(), data.ranges.copy()
-    odometry[CUT + 5 :], ranges[CUT + 5 :] = 0.0, 1.0
+    odometry = data.odometry.copy()
+    ranges = data.ranges.copy()
+    odometry[CUT + 5 :] = 0.0
+    ranges[CUT + 5 :] = 1.0
     data = replace(data, odometry=odometry, ranges=ranges)
     _, cut_poses, cut_covariances, _, _ = driven(data, truth[0], CUT + 20)
-    cut_poses, cut_covariances = cut_poses[:CUT], cut_covariances[:CUT]
+    cut_poses = cut_poses[:CUT]
+    cut_covariances = cut_covariances[:CUT]
     np.testing.assert_array_equal(cut_poses, poses[:CUT])
     np.testing.assert_array_equal(cut_covariances, covariances[:CUT])
 
@@ -307,7 +309,8 @@ def test_where_nothing_is_seen_the_graph_goes_on_by_odometry(blind):
 
 def test_a_robot_that_stands_for_long_goes_on_as_before():
     data, truth = corridor_log(laps=1, bias=0.0)
-    stand, count = 100, len(data.time)
+    stand = 100
+    count = len(data.time)
     rows = np.concatenate((np.arange(stand), np.full(2000, stand), np.arange(stand, count)))
     standing = replace(
         data,
@@ -326,7 +329,8 @@ def test_a_robot_that_stands_for_long_goes_on_as_before():
 
 def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
     data, truth = corridor_log(laps=1, bias=BIAS)
-    count, lost = 150, 90
+    count = 150
+    lost = 90
     log = RecordedLog(
         SIX_BEAMS,
         data.time[:count],
@@ -335,7 +339,8 @@ def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
         truth[0],
         odometry=data.odometry[:count],
     )
-    config, steps = preset("graph", NominalNoise(0.01)), []
+    config = preset("graph", NominalNoise(0.01))
+    steps = []
     is_lost = property(lambda _: [Status("lost", "") if len(steps) > lost else Status()])
     monkeypatch.setattr(Mapper, "statuses", is_lost)
     both = LogEstimate(Mapper(SIX_BEAMS, config, log.start_pose), log)

@@ -94,7 +94,9 @@ def test_derivatives_of_motions_are_differences(turn):
 
 @pytest.mark.parametrize("width", [0.0, 0.03, 1.2])
 def test_derivatives_of_readings_are_differences(width):
-    pose, line, anchor = np.array([0.3, 0.2, 0.4]), np.array([0.1, 0.9]), np.array([1.0, 1.1])
+    pose = np.array([0.3, 0.2, 0.4])
+    line = np.array([0.1, 0.9])
+    anchor = np.array([1.0, 1.1])
     beam = np.array([0.05, 0.08, 0.6])
 
     def expected_at(pose, line):
@@ -114,11 +116,13 @@ def test_derivatives_of_readings_are_differences(width):
 
 def test_derivatives_by_bias_and_scale_are_differences():
     problem, poses = noisy_run(4)
-    state, labels = state_from_motions(problem), true_labels(problem, poses)
+    state = state_from_motions(problem)
+    labels = true_labels(problem, poses)
     state = replace(
         solve_labels(problem, state, labels).state, calibration=np.array([[0, 0, 0, 0.02, 0.03]])
     )
-    found, places = expected(problem, state, labels), problem.readings.places
+    found = expected(problem, state, labels)
+    places = problem.readings.places
     lengths = problem.true(found.ranges, places, state.calibration)
     for column, wanted in ((3, np.ones(len(labels))), (4, lengths)):
         change = 1e-6 * np.eye(5)[[column]]
@@ -143,8 +147,10 @@ def test_covariances_are_those_of_a_dense_solution():
     covariances = solution.of_poses
     # The same equations, with nothing eliminated: numerical derivatives of all residuals by all
     # poses and lines.
-    state, labels = solution.state, true_labels(problem, poses)
-    steps, count = problem.steps, len(state.lines)
+    state = solution.state
+    labels = true_labels(problem, poses)
+    steps = problem.steps
+    count = len(state.lines)
     jacobians = motion_jacobians(state.poses[0], ROBOT.axle)
     whole = np.zeros((3 * steps + 2 * count, 3 * steps + 2 * count))
     for step in range(steps - 1):
@@ -152,7 +158,8 @@ def test_covariances_are_those_of_a_dense_solution():
         jacobian = problem.roots[0, step] @ jacobians[step]
         whole[own, own] += jacobian.T @ jacobian
     for k in np.flatnonzero(solution.weights):
-        place, line = 3 * problem.readings.places[k], 3 * steps + 2 * labels[k]
+        place = 3 * problem.readings.places[k]
+        line = 3 * steps + 2 * labels[k]
         columns = np.r_[place : place + 3, line : line + 2]
         row = numbered_row(problem, state, labels[k], k)
         whole[np.ix_(columns, columns)] += np.outer(row, row) / problem.range_std**2
@@ -206,7 +213,8 @@ FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
 
 def widened(problem, poses, width):
     """The problem with the readings of beams with an opening angle."""
-    state, labels = state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses)
+    state = state_from_poses(problem, np.moveaxis(poses, 0, 1))
+    labels = true_labels(problem, poses)
     cosines = expected(problem, solve_labels(problem, state, labels).state, labels).cosines
     shares = [read_share(cosine, width) for cosine in cosines.tolist()]
     return replace(
@@ -216,14 +224,14 @@ def widened(problem, poses, width):
 
 def run_of(problem, poses, sensor):
     """The run of a problem of one robot, with a filter that was right about poses and walls."""
-    steps, beams = problem.steps, len(problem.robot.beams)
-    ranges, readings = np.tile(problem.robot.max_ranges, (steps, 1, 1)), problem.readings
+    steps = problem.steps
+    beams = len(problem.robot.beams)
+    ranges = np.tile(problem.robot.max_ranges, (steps, 1, 1))
+    readings = problem.readings
     ranges[readings.places, 0, readings.beams] = readings.distances
     wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 1, 0)))
-    labels, sources = (
-        true_labels(problem, poses),
-        np.column_stack((readings.places, readings.beams)),
-    )
+    labels = true_labels(problem, poses)
+    sources = np.column_stack((readings.places, readings.beams))
     members = [sources[labels == wall] for wall in range(labels.max() + 1)]
     records = [
         AssociationRecord(wall, is_new=True, readings=each) for wall, each in enumerate(members)
@@ -261,10 +269,8 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
 def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
     """A scale of 3 %, of which the filter has found its share of four fifths."""
     problem, poses = noisy_run(6, places=[*ROUND, *ROUND])
-    run, sensor = (
-        run_of(problem, poses, None),
-        RangeSensor(0.02, bias=bias, scale=scale, scale_std=scale),
-    )
+    run = run_of(problem, poses, None)
+    sensor = RangeSensor(0.02, bias=bias, scale=scale, scale_std=scale)
     longer = np.minimum(bias + run.ranges * (1.0 + 1.25 * scale), ROBOT.max_ranges)
     seen = longer < ROBOT.too_far
     told = replace(run, ranges=longer, sensor=sensor)
@@ -286,7 +292,8 @@ def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
 
 def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
     problem, poses = noisy_run(6, 0.02)
-    run, tick = run_of(problem, poses, None), 0.01
+    run = run_of(problem, poses, None)
+    tick = 0.01
     totals = np.cumsum(run.wheels, axis=0) + np.random.default_rng(6).uniform(0.0, tick, 2)
     wheels = np.diff(np.floor(totals / tick) * tick, axis=0, prepend=np.zeros((1, 1, 2)))
     found = smooth_run(replace(run, wheels=wheels), CONFIG)
@@ -494,7 +501,8 @@ def test_beams_that_go_through_a_wall_are_counted():
     found = truth(3)
     assert not tally(found)[1].any()
     moved = found.state.lines.copy()
-    line, anchor = found.state.lines[0], found.state.anchors[0]
+    line = found.state.lines[0]
+    anchor = found.state.anchors[0]
     moved[0, 0] += 0.4 if anchor @ [np.cos(line[1]), np.sin(line[1])] < 1.0 else -0.4
     wrong = replace(
         found, solution=replace(found.solution, state=replace(found.state, lines=moved))
@@ -504,7 +512,8 @@ def test_beams_that_go_through_a_wall_are_counted():
 
 def test_what_did_not_last_is_no_wall():
     found = truth(3)
-    problem, readings = found.problem, found.problem.readings
+    problem = found.problem
+    readings = found.problem.readings
     middle = len(found.state.flat_poses) // 2
     stood = np.flatnonzero((readings.places >= middle) & (readings.places < middle + 40))
     short = readings.distances.copy()
@@ -524,8 +533,10 @@ def test_a_wide_beam_draws_a_wall_where_it_has_read_it():
         places_along(each, found.state, found.labels)
         for each in (found.problem, replace(found.problem, sensor=sensor))
     )
-    poses, used = found.state.flat_poses[found.problem.readings.places], found.labels >= 0
-    lines, anchors = found.state.lines[found.labels], found.state.anchors[found.labels]
+    poses = found.state.flat_poses[found.problem.readings.places]
+    used = found.labels >= 0
+    lines = found.state.lines[found.labels]
+    anchors = found.state.anchors[found.labels]
     tangents = np.column_stack((-np.sin(lines[:, 1]), np.cos(lines[:, 1])))
     feet = ((poses[:, :2] - anchors) * tangents).sum(axis=1)
     assert (np.abs(wide - feet) <= np.abs(along - feet) + ROBOT.radius)[used].all()

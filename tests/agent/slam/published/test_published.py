@@ -62,7 +62,8 @@ def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(
     pose = np.array([1.0, -2.0, 2.5])
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=100.0))
     buffer.add(RANGES, ALL, ALL, 0)
-    start, seen = pose, ends_in_world(pose, [0, 1])
+    start = pose
+    seen = ends_in_world(pose, [0, 1])
     for motion in motions:
         pose = se2.compose(pose, motion)
         buffer.move(motion)
@@ -266,7 +267,8 @@ def walled_loop() -> tuple[FloatArray, FloatArray]:
     corners = np.array([[0.6, 0.6], [3.4, 0.6], [3.4, 3.4], [0.6, 3.4]])
     poses = []
     for side in range(5):
-        start, end = corners[side % 4], corners[(side + 1) % 4]
+        start = corners[side % 4]
+        end = corners[(side + 1) % 4]
         heading = se2.wrap_angle(float(np.pi / 2 * side))
         poses += [[*place, heading] for place in np.linspace(start, end, 140, endpoint=False)]
         poses += [
@@ -280,7 +282,8 @@ def walled_loop() -> tuple[FloatArray, FloatArray]:
 
 def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str, FloatArray]]:
     """What the robot reads on the way; its wheels tell ``drift`` (rad per m) too much of a turn."""
-    observations, before = [], poses[0]
+    observations = []
+    before = poses[0]
     for pose in poses:
         ahead, _, turn = se2.compose(se2.inverse(before), pose)
         half = 0.5 * FOUR_BEAMS.axle * (turn + drift * ahead)
@@ -298,7 +301,8 @@ def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str,
 def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
     poses, walls = walled_loop()
     observations = sensed(poses, walls, drift)
-    errors, slams = [], []
+    errors = []
+    slams = []
     for enabled in (True, False):
         estimator = PublishedConfig(closing=LoopClosingConfig(enabled=enabled))
         config = AgentConfig(estimator=estimator, noise=NominalNoise(0.005, 2e-4))

@@ -201,7 +201,8 @@ class TestRefused:
         assert {path.name for path in tmp_path.iterdir()} == {name, "w.pgm"}
 
     def test_a_file_is_replaced_whole_and_readable_like_others(self, tmp_path):
-        path, other = tmp_path / "w.toml", tmp_path / "other"
+        path = tmp_path / "w.toml"
+        other = tmp_path / "other"
         other.write_text("")
         path.write_text("old")
         write_world(box_world(), path)

@@ -148,7 +148,8 @@ def test_obstacles_are_as_many_as_asked_where_there_is_space():
 
 
 def test_obstacles_are_convex_of_three_to_eight_corners_and_of_the_asked_size():
-    low, high = 0.4, 0.8
+    low = 0.4
+    high = 0.8
     polygons = [
         polygon
         for seed in range(30)
