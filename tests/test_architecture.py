@@ -455,10 +455,10 @@ def test_importing_the_agent_loads_no_simulator():
     compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
     compiled += [
         "limslam_agent.policies.learned.look_ahead",
-        "limslam_agent.slam.consistent.association",
         "limslam_agent.slam.consistent.clone_ekf",
         "limslam_agent.slam.consistent.clone_filter",
         "limslam_agent.slam.consistent.merging",
+        "limslam_agent.slam.consistent.step",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.two_logs"],
         *PLACES["limslam_agent.slam.online_graph"],

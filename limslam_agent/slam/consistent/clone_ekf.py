@@ -18,24 +18,35 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import correct_state, dense_rows, mirror, move_pose
-from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_END, Filter
-from limslam_agent.slam.consistent import clone_filter
-from limslam_agent.slam.consistent.clone_filter import (
-    begins_of,
+from limslam_agent.kernels.covariance import (
+    correct_state,
+    dense_block,
+    dense_rows,
+    mirror,
+    move_pose,
+)
+from limslam_agent.kernels.tables import (
+    CLONES,
+    LINES,
+    LINES_FROM,
+    POSE,
+    POSES_END,
+    Filter,
+    Readings,
+    Update,
     clones_from,
-    equality,
     line_at,
-    num_lines,
     size_of,
 )
+from limslam_agent.slam.consistent import clone_filter
+from limslam_agent.slam.consistent.clone_filter import equality, num_lines
 from limslam_agent.slam.consistent.separate_bias import (
     DELAY,
     TURNS,
     ConstantErrors,
     OdometryErrors,
     RangeErrors,
-    note_update,
+    SeenWall,
 )
 from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry import FloatArray
@@ -88,8 +99,8 @@ class CloneEKF:
         # Of the poses in the latest step: the change in the world, the jitter in the robot's frame,
         # and, since each step asks for it several times, the jitter in the world at a heading.
         self._motions = np.zeros((robots, POSE))
-        self._jitters = [np.zeros((POSE, POSE))] * robots
-        self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
+        self.jitters = [np.zeros((POSE, POSE))] * robots
+        self._in_world = [(math.nan, self.jitters[0], self.jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -99,7 +110,6 @@ class CloneEKF:
             np.zeros((0, 2)),
             np.zeros(0, dtype=np.int64),
             counts,
-            self._errors,
         )
 
     @property
@@ -111,7 +121,7 @@ class CloneEKF:
     def P(self) -> FloatArray:  # noqa: N802 (the literature's letter)
         """Its covariance (n, n), a view."""
         size = size_of(self.arrays.counts)
-        mirror(self.arrays.P, size, self._poses_end)
+        mirror(self.arrays)
         return self.arrays.P[:size, :size]
 
     @property
@@ -145,7 +155,7 @@ class CloneEKF:
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
-        for robot, jitter in enumerate(self._jitters):
+        for robot, jitter in enumerate(self.jitters):
             own = slice(POSE * robot, POSE * robot + POSE)
             heading = self.arrays.x.item(POSE * robot + 2)
             if self._in_world[robot][0] != heading or self._in_world[robot][1] is not jitter:
@@ -258,62 +268,44 @@ class CloneEKF:
         if self.calibration() is None:
             return
         arrays = self.arrays
-        size = size_of(self.arrays.counts)
         column = np.array([self._calibration_part(robot).stop - 1])
-        row = dense_rows(arrays.P, size, self._poses_end, column)
+        row = dense_rows(arrays, column)
         factor = np.sqrt(row[:, column] + variance)
         innovation = drift - arrays.x[column]
-        whitened = row / factor
-        change = whitened.T @ (innovation / factor[0])
-        nothing = np.zeros((size, POSE))
-        moved = correct_state(
-            arrays.x,
-            arrays.P,
-            size,
-            begins_of(arrays.counts),
-            arrays.anchors,
-            self.num_lines,
-            nothing,
-            whitened,
-            change,
-        )
-        note_update(
-            arrays,
-            np.ones((1, 1)),
-            column,
-            innovation,
-            factor,
-            whitened,
-            nothing,
-            moved,
-            None,
-            np.zeros(1),
-            0,
-        )
+        W = row / factor
+        nothing = np.zeros((row.shape[1], POSE))
+        change = W.T @ (innovation / factor[0])
+        update = Update(column, np.ones((1, 1)), innovation, factor, W, nothing, change)
+        self.corrected(update, correct_state(arrays, update), 0)
+
+    def corrected(
+        self,
+        update: Update,
+        after: FloatArray,
+        wall: int,
+        used: Readings | None = None,
+        expected: FloatArray | None = None,
+    ) -> None:
+        """An update by measurements of a wall has corrected the state. ``after`` is what
+        ``correct_state`` has returned; the others are those of ``update_by_readings``, if it has
+        found the update.
+        """
+        seen = None
+        if used is not None and expected is not None:
+            headings = self.x[clones_from(self.arrays.counts) + POSE * used.places + 2]
+            seen = SeenWall(used.rows, expected, headings, self.line(wall).item(1))
+        self._errors.learn(self.by_errors, update, after, wall, seen)
 
     def predict(self, motion: Motion, robot: int = 0) -> None:
         """Move a robot."""
         arrays = self.arrays
-        at = POSE * robot
-        size = size_of(self.arrays.counts)
+        moved = slice(POSE * robot, POSE * robot + POSE)
         by_pose = np.zeros((POSE, POSE))
         by_increment = np.zeros((POSE, POSE))
-        moved = slice(at, at + POSE)
         increment = motion.increment
-        covariance = motion.covariance
-        move_pose(
-            arrays.x,
-            arrays.P,
-            size,
-            at,
-            increment,
-            covariance,
-            by_pose,
-            by_increment,
-            self._poses_end,
-        )
+        move_pose(arrays, moved.start, increment, motion.covariance, by_pose, by_increment)
         self._motions[robot] = by_increment @ increment
-        self._jitters[robot] = motion.jitter
+        self.jitters[robot] = motion.jitter
         if not motion.has_turned:
             self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
@@ -374,17 +366,20 @@ class CloneEKF:
 
     def clone(self, robot: int = 0) -> int:
         """Add the pose at which a robot's present readings were taken to the state, and return its
-        number.
-
-        It is a copy of the robot's pose with its jitter. Late readings were taken where the robot
-        was before.
+        number. It is a copy of the robot's pose with its jitter.
         """
         self.make_room(clones=1)
-        number = clone_filter.clone(self.arrays, robot, self._jitters[robot])
+        number = clone_filter.clone(self.arrays, robot, self.jitters[robot])
+        self.cloned(robot)
+        return number
+
+    def cloned(self, robot: int) -> None:
+        """A robot's pose has just been cloned. Late readings were taken where the robot was
+        before.
+        """
         ranges = self._errors.ranges
         if ranges is not None:
             self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
-        return number
 
     def add_line(self, theta: float, anchor: FloatArray) -> int:
         """Add a line with an uninformative prior, and return its index.
@@ -481,11 +476,8 @@ class CloneEKF:
         return slice(first, first + 2)
 
     def _block(self, part: slice) -> FloatArray:
-        """Covariance of some states that follow the poses, of which only the lower triangle is
-        kept.
-        """
-        lower = np.tril(self.arrays.P[part, part])
-        return np.asarray(lower + np.tril(lower, -1).T)
+        """Covariance of some states that follow the poses."""
+        return dense_block(self.arrays.P, np.arange(part.start, part.stop))
 
     def _calibration_part(self, robot: int) -> slice:
         first = self._poses_end + POSE * robot
@@ -526,23 +518,14 @@ class CloneEKF:
             anchors,
             numbers,
             counts,
-            self._errors,
             self.arrays.bend,
         )
 
     def _correct(self, change: FloatArray) -> None:
-        """Add a correction (n,) to the state, and transport the error of P to the new state."""
-        arrays = self.arrays
+        """Add a correction (s,) to the state, and transport the error of P to the new state."""
         size = len(change)
-        moved = correct_state(
-            arrays.x,
-            arrays.P,
-            size,
-            begins_of(arrays.counts),
-            arrays.anchors,
-            self.num_lines,
-            np.zeros((size, POSE)),
-            np.zeros((0, size)),
-            change,
-        )
+        none = np.zeros((0, size))
+        nothing = np.zeros((size, POSE))
+        update = Update(np.arange(0), none, np.zeros(0), none, none, nothing, change)
+        moved = correct_state(self.arrays, update)
         self.by_errors[:] += moved @ self.by_errors[:POSE]

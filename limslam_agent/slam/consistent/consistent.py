@@ -14,23 +14,20 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST, LINES, POSE, Walls
+from limslam_agent.kernels.tables import FEWEST, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import (
-    DRIVEN,
-    DRIVEN_AT,
-    FRESH,
     RANGE,
     SIDES,
-    TURNED,
-    TURNED_AT,
     WAITING,
-    collect,
-    has_ended,
-    is_due,
+    Belief,
+    Scan,
+    Setup,
     most_clones,
+    note_motion,
+    pending_of,
     readings_of,
     sides_of,
 )
@@ -102,11 +99,7 @@ class ConsistentEstimator(Estimator):
         self._sides = sides_of(robot, config.pending.beams)
         widest = int(np.bincount(self._sides + 1, minlength=2)[1:].max())
         room = widest * most_clones(pending.batch, pending.max_clones, robots)
-        self._travel = np.zeros((robots, POSE + 1 + len(SIDES)))
-        self._travel[:, [DRIVEN_AT, TURNED_AT]] = -math.inf
-        rows = robots * len(SIDES)
-        self._pending = np.zeros((rows, room, 5))
-        self._fill = np.zeros((rows, 2), dtype=np.int64)
+        self._pending = pending_of(robots, room)
         self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
         self._assume(sensor or self._specified)
         self._map: WallMap = WallMap(self.filter, config.extents)
@@ -234,10 +227,8 @@ class ConsistentEstimator(Estimator):
         for number in new:
             places = np.flatnonzero(self._map.numbers == number)
             if len(places):
-                close_loops_of(
-                    self.filter.arrays, self.walls, int(places[0]), self.settings, reports
-                )
-        self._fill[:] = 0
+                close_loops_of(self._belief, int(places[0]), self.settings, reports)
+        self._pending.fill[:] = 0
 
     def relocate(
         self,
@@ -281,8 +272,7 @@ class ConsistentEstimator(Estimator):
         if by_wheels:
             motion = self._contacts[number].loosened(motion, front.ranges, front.measured)
         self.filter.predict(motion, number)
-        self._travel[number, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
-        self._travel[number, TURNED] += abs(float(motion.increment[2]))
+        note_motion(self._pending, number, motion.increment)
 
     def _learn_from_turn(self, number: int, turn: Turn) -> None:
         """Make the constant errors of a robot's heading a part of the state, once, and observe its
@@ -303,32 +293,28 @@ class ConsistentEstimator(Estimator):
         return OdometryCalibration(*errors.tolist())
 
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
-        """Collect the new readings of a robot, and process each side that has enough of them."""
+        """Collect the new readings of a robot, and use each side that has enough of them."""
+        from limslam_agent.slam.consistent.step import measure
+
         del motion
-        travel = self._travel[number]
-        settings = self.settings
-        own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
-        pending = self._pending[own]
-        fill = self._fill[own]
-        if is_due(travel, front.hits, self._sides, settings):
-            # A robot that stands sees nothing new: neither what beams end on nor what they pass.
-            self._clear_along_beams(number, front)
-            clone = self.filter.clone(number)
-            collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
-        for side in range(len(SIDES)):
-            is_over = has_ended(travel, fill, side)
-            if fill[side, FRESH] >= settings.batch or is_over:
-                self._process(number, side, front.step, is_over=is_over)
+        self._make_room()
+        jitter = self.filter.jitters[number]
+        scan = Scan(front.step, front.ranges, front.measured, front.hits, jitter)
+        measure(self._belief, number, scan, self._setup, StepReports(self, number, front.step))
         if (self.filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
             self.calibrate()
             self._assume(self.sensor._replace(bend=0.0))  # it may have been due to the wheels
         self._correct_sensor()
 
     def finish(self) -> None:
-        """Process all pending readings."""
+        """Use all pending readings."""
+        from limslam_agent.slam.consistent.step import use_side
+
         for number, front in enumerate(self.robots):
+            reports = StepReports(self, number, front.step)
             for side in range(len(SIDES)):
-                self._process(number, side, front.step, is_over=True)
+                self._make_room()
+                use_side(self._belief, number, side, True, self._setup, reports)  # noqa: FBT003
 
     @property
     def pending_points(self) -> list[PendingPoints]:
@@ -336,13 +322,11 @@ class ConsistentEstimator(Estimator):
         from limslam_agent.slam.consistent.clone_filter import end_points
 
         found = []
-        table = self._mounted.beam_table
-        for row, (waiting, fresh) in enumerate(self._fill.tolist()):
-            places, readings, _ = readings_of(
-                self.filter.arrays, self._pending[row, :waiting], table, self.settings
-            )
+        ekf = self.filter.arrays
+        for row, (waiting, fresh) in enumerate(self._pending.fill.tolist()):
+            readings = readings_of(ekf, self._pending.rows[row, :waiting], self._setup)
             number, side = divmod(row, len(SIDES))
-            points = end_points(self.filter.arrays, places, readings, math.nan)
+            points = end_points(ekf, readings, math.nan)
             found.append(PendingPoints(number, SIDES[side], points, self.settings.batch, fresh))
         return found
 
@@ -350,17 +334,29 @@ class ConsistentEstimator(Estimator):
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
         self.filter.arrays = self.filter.arrays._replace(bend=sensor.bend)
-        self._mounted = sensor.mounted(self.robot)
         self.filter.has_turned_beams = bool(sensor.turns)
         config = cast(ConsistentConfig, self.config.estimator)
         self.settings = step_settings(config, sensor, self._sensor.usual_std)
+        table = sensor.mounted(self.robot).beam_table
+        self._setup = Setup(self.settings, table, self._sides)
+
+    @property
+    def _belief(self) -> Belief:
+        return Belief(self.filter.arrays, self._map.arrays, self._pending)
+
+    def _make_room(self) -> None:
+        """Make room for another clone, and for all lines that the readings may show."""
+        waiting = int(self._pending.fill[:, WAITING].sum()) + len(self.robot.beams)
+        lines = len(self._pending.fill) + waiting // min(self.settings.min_votes, FEWEST)
+        self._map.make_room(lines)
+        self.filter.make_room(lines=lines, clones=1)
 
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the state for what was
         assumed before.
         """
         self.filter.correct_ranges(sensor.change_from(self.sensor))
-        pending = self._pending[..., RANGE]
+        pending = self._pending.rows[..., RANGE]
         pending[:] = sensor.true(self.sensor.reported(pending))
         self._assume(sensor)
 
@@ -424,48 +420,6 @@ class ConsistentEstimator(Estimator):
             prior,
         )
 
-    def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
-        """Count the places of landmarks that a robot's new beams have passed through."""
-        from limslam_agent.kernels.extents import clear_along_beams
-
-        ekf = self.filter.arrays
-        sensor = self.sensor
-        if ekf.counts[LINES]:
-            clear_along_beams(
-                self.walls,
-                ekf.x,
-                ekf.P,
-                ekf.counts,
-                ekf.anchors,
-                POSE * number,
-                front.ranges,
-                front.measured,
-                self._mounted.beam_table,
-                sensor.numbers[:2],
-                np.empty((len(front.ranges), 6)),
-            )
-
-    def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:
-        """Use the pending readings of a side of a robot."""
-        from limslam_agent.slam.consistent.association import process
-
-        row = number * len(SIDES) + side
-        lines = 1 + int(self._fill[row, WAITING]) // min(self.settings.min_votes, FEWEST)
-        self._map.make_room(lines)
-        self.filter.make_room(lines=lines)
-        process(
-            self.filter.arrays,
-            self.walls,
-            self._pending,
-            self._fill,
-            row,
-            float(self._travel[number, DRIVEN]),
-            self.settings,
-            self._mounted.beam_table,
-            is_over,
-            StepReports(self, number, step),
-        )
-
     def _merge_recognised(
         self, new: Sequence[int], known_as: Sequence[int], reports: StepReports
     ) -> None:
@@ -484,4 +438,4 @@ class ConsistentEstimator(Estimator):
         # The younger landmark is removed: the last ones first, so that the others keep their
         # places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
-            merge_landmarks(self.filter.arrays, self.walls, older, younger, reports)
+            merge_landmarks(self._belief, older, younger, reports)

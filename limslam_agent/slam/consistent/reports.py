@@ -20,8 +20,8 @@ from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.consistent.association import Piece
     from limslam_agent.slam.consistent.consistent import ConsistentEstimator
+    from limslam_agent.slam.consistent.step import Piece
 
 
 class StepReports:
@@ -31,16 +31,17 @@ class StepReports:
         self._estimator = estimator
         self._robot = robot
         self._step = step
+        self.cloned = estimator.filter.cloned
+        self.corrected = estimator.filter.corrected
 
-    def extracted(self, row: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
+    def extracted(self, side: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
         """The lines (k, 2) with their ends (k, 2, 2) that were found in the pending readings of a
         side.
         """
         estimator = self._estimator
-        side = SIDES[row % len(SIDES)]
         estimator.last_extraction = Extraction(
             self._robot,
-            side,
+            SIDES[side],
             self._step,
             estimator.poses[self._robot],
             points,

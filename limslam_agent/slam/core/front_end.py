@@ -97,14 +97,14 @@ class FrontEnd:
 
         robot = self._robot
         values = np.array(observation["ranges"], dtype=float)
-        limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
+        limits = np.array([robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far])
         self.reported, self.measured, self.hits = (
             np.empty(len(values)),
             robot.measures(self.step),
             self.dropped.copy(),
         )
         self.refused_readings += sort_readings(
-            values, *limits, moved, self.repeats, self.reported, self.measured, self.hits
+            values, limits, moved, self.repeats, self.reported, self.measured, self.hits
         )
 
     def know_repeats(self, other: "FrontEnd") -> None:

@@ -444,7 +444,7 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     # They are one now, but for what is not linear in the small angle between them.
     assert np.abs(apart(wanted, ekf, older, younger, turned)).max() < 0.02 * np.abs(off).max()
     left = carried(left, before, wanted, ekf)
-    merge(ekf.arrays, older, younger, 1)
+    merge(ekf.arrays, older, younger, ekf, 1)
     gone = [3 + 2 * younger, 4 + 2 * younger]
     np.testing.assert_allclose(ekf.x, np.delete(wanted, gone), atol=1e-10)
     np.testing.assert_allclose(ekf.P, np.delete(np.delete(left, gone, 0), gone, 1), atol=1e-12)
@@ -465,7 +465,7 @@ def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_tu
     for iterations in (1, 3):
         ekf = seen_twice(0.3, turned, 2)
         known = known_of_the_world(ekf)
-        merge(ekf.arrays, 0, 2, iterations)
+        merge(ekf.arrays, 0, 2, ekf, iterations)
         gained.append(np.abs(known_of_the_world(ekf) - known).max() / np.abs(known).max())
     assert gained[1] < 1e-4
     assert gained[1] < 0.1 * gained[0]
@@ -548,7 +548,7 @@ class _Wanderer:
             covariance[1, 1] < math.radians(4.0) ** 2
             and off @ np.linalg.solve(covariance, off) < 16.0
         ):
-            merge(self.ekf.arrays, older, younger, 1)
+            merge(self.ekf.arrays, older, younger, self.ekf, 1)
             del self.walls[younger]
             self.merged += 1
 

@@ -22,15 +22,16 @@ from limslam_agent.config.consistent import (
     SelfCalibrationConfig,
 )
 from limslam_agent.config.presets import self_calibrating
+from limslam_agent.kernels.tables import line_at
 from limslam_agent.mapping import mapper as mapper_module
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.separate_bias import (
     DELAY,
     OdometryErrors,
     RangeErrors,
+    SeenWall,
     by_range_errors,
 )
 from limslam_agent.slam.core.motion import (
@@ -93,7 +94,9 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
     turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(
         LINE, bearing - step, cone, pose
     )
-    by_errors = by_range_errors(rows, one_reading(bearing, cone).rows, pose[2:], float(LINE[1]), 1)
+    by_errors = by_range_errors(
+        SeenWall(one_reading(bearing, cone).rows, rows, pose[2:], float(LINE[1])), 1
+    )
     assert not by_errors[:, DELAY].any()  # it acts by the poses
     by_errors = np.delete(by_errors, DELAY, axis=1)
     np.testing.assert_allclose(

@@ -12,7 +12,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.drives import ROBOT, drive, recorded, straight
-from support.readings import Readings, clone_poses, expected_ranges, hit_points, points_of
+from support.readings import (
+    Readings,
+    clone_poses,
+    expected_ranges,
+    hit_points,
+    of_filter,
+    points_of,
+)
 
 from limslam_agent import BatchSlam, LineSlam, preset
 from limslam_agent.config.consistent import ConsistentConfig, ExtentConfig
@@ -23,6 +30,7 @@ from limslam_agent.kernels.extents import (
     merge_walls,
     pass_at,
 )
+from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     BIN,
@@ -32,11 +40,10 @@ from limslam_agent.kernels.tables import (
     MIDDLE_Y,
     THETA,
     empty_walls,
+    select,
 )
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.clone_filter import straight_segments
 from limslam_agent.slam.consistent.limits import FAR_GATE
-from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.consistent.wall_map import WallExtent, WallMap
 from limslam_agent.slam.core.diagnostics import Comparison
 from limslam_agent.slam.core.line_fit import fit_line
@@ -84,13 +91,9 @@ class Drive(NamedTuple):
         """
         chosen = np.arange(len(self.hits)) if members is None else members
         line = fit_line(self.points[chosen], self.std).line if about is None else about
-        places = places_of(self.belief.arrays, self.readings.clones)
-        readings = self.readings
-        points = points_of(self.belief, readings, float(line[1]))
-        variances = readings.variances(self.std)
-        segments, owner, _ = straight_segments(
-            self.belief.arrays, places, readings.rows, points, chosen, line, self.std, variances
-        )
+        points = points_of(self.belief, self.readings, float(line[1]))
+        own = select(of_filter(self.belief, self.readings, self.std), chosen)
+        segments, owner, _ = cut_at_bends(self.belief.arrays, own, points[chosen], line, self.std)
         return [
             WallSegment(
                 chosen[owner == number],
