@@ -11,6 +11,7 @@ from limslam_agent.kernels import algebra, covariance
 from limslam_agent.kernels.cells import BODY, CROSSED, ENDED, SKIPPED, change_cells
 from limslam_agent.kernels.compilation import entry
 from limslam_agent.kernels.nearness import beams_on_robot, place_readings, room_ahead, safe_share
+from limslam_agent.kernels.tables import Filter
 from limslam_env import RobotSpec
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import beams_on_rim
@@ -54,7 +55,9 @@ def test_a_symmetric_product_is_added_to_a_part_of_a_matrix(whole: int) -> None:
     found = matrix.copy()
     expected = matrix.copy()
     add_products(found, whole, weights[:, None] * root, root)
-    covariance.mirror(found, 19, whole)
+    counts = np.array([whole, whole, 2, (19 - whole - 4) // 3, 0])  # two lines, and clones
+    nothing = np.zeros((0, 2))
+    covariance.mirror(Filter(nothing[:, 0], found, nothing, nothing, counts[:0], counts))
     expected[:19, :19] += root.T @ (weights[:, None] * root)
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
