@@ -110,7 +110,7 @@ class Places:
             given,
             np.array([len(starts.given) for starts in each]),
             np.concatenate([starts.cells.runs for starts in each]),
-            np.array([starts.cells.count for starts in each]),
+            np.array([starts.cells.number for starts in each]),
             np.array([starts.cells.space for starts in each]),
             np.cumsum([0, *(len(starts.cells.runs) for starts in each)]),
             least_distance(self._robot),

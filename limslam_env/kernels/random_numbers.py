@@ -162,14 +162,14 @@ class FreeCells(NamedTuple):
     runs
         (r, 2): the number of the first of some cells side by side, and how many cells come before
         it.
-    count
+    number
         Number of the cells.
     space
         Lower left corner x, y and side of the cells, m, and number of columns of their grid (4,).
     """
 
     runs: IntArray
-    count: int
+    number: int
     space: FloatArray
 
 
@@ -189,7 +189,7 @@ def draw_start(
     already. For all robots together so many places are tried.
     """
     runs = cells.runs
-    count = cells.count
+    count = cells.number
     space = cells.space
     columns = int(space[3])
     state = key

@@ -71,16 +71,18 @@ def noisy_reading(
     chance of a dropout, resolution (m) and fold-back (m per metre nearer than the shortest
     reading). A beam that hits nothing has its longest reading exactly.
     """
-    shortest = beams[number, SHORTEST_RANGE]
-    longest = beams[number, LONGEST_RANGE]
+    shortest: float = beams[number, SHORTEST_RANGE]
+    longest: float = beams[number, LONGEST_RANGE]
     if hit == NOTHING or uniform < noise[DROPOUT]:
         return longest
     std = noise[RANGE_STD]
     if noise[STD_GROWTH] > 0.0:
         std = math.hypot(std, noise[STD_GROWTH] * ideal * ideal)
     folds = noise[FOLD_BACK] > 0.0 and ideal < shortest
-    reading = (shortest + noise[FOLD_BACK] * (shortest - ideal) if folds else ideal) + std * normal
-    resolution = noise[RANGE_RESOLUTION]
+    reading: float = (
+        shortest + noise[FOLD_BACK] * (shortest - ideal) if folds else ideal
+    ) + std * normal
+    resolution: float = noise[RANGE_RESOLUTION]
     if resolution > 0.0:
         reading = math.floor(reading / resolution + 0.5) * resolution
     return min(max(reading, shortest), longest)
