@@ -15,7 +15,6 @@ from unittest.mock import patch
 from benchmarks.suite.faults import Fault, fault_begins, fault_scores
 from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, Outcome, Suite, digest
 from benchmarks.suite.store import FORMAT, Row, Stamp, row_of
-from limslam_agent.cli.terminal import progress_bar
 from limslam_agent.measurements.processes import Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
@@ -24,6 +23,7 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.terminal import progress_bar
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 
 Work: TypeAlias = Callable[[Job], Outcome]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.terminal import print_table, progress_bar, say, warn
+from limslam_agent.terminal import print_table, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board

@@ -8,7 +8,7 @@ import typer
 from limslam_agent.cli.options import ReplayOptions
 from limslam_agent.cli.replay import job_of
 from limslam_agent.cli.settings import FILE, Given, replay_agent, run_config, run_options
-from limslam_agent.cli.terminal import progress_bar, say
+from limslam_agent.terminal import progress_bar, say
 
 if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from limslam_agent.cli.options import takes, told
-from limslam_agent.cli.terminal import say, warn
+from limslam_agent.terminal import say, warn
 
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
@@ -97,9 +97,9 @@ def score(
     **told: Any,
 ) -> None:
     """Score the trajectory and the map of any SLAM system by the metrics of this project."""
-    from limslam_agent.cli.settings import robot_named
     from limslam_agent.output.atomic_write import atomic_write, check_target
     from limslam_agent.output.export import write_json
+    from limslam_agent.robot_file import robot_named
 
     if out is not None:
         check_target(out, force=force)

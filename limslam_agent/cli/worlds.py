@@ -7,7 +7,7 @@ import typer
 
 from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit
 from limslam_agent.cli.settings import layer_names
-from limslam_agent.cli.terminal import print_table, say, warn
+from limslam_agent.terminal import print_table, say, warn
 
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World

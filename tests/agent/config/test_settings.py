@@ -19,7 +19,6 @@ from limslam_agent.cli.settings import (
     Given,
     ReplayOptions,
     RunOptions,
-    robot_named,
     run_config,
     run_options,
 )
@@ -36,6 +35,7 @@ from limslam_agent.config.presets import (
 )
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
+from limslam_agent.robot_file import robot_named
 from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
 from limslam_env.robots import ROBOTS
 from limslam_env.worlds.formats.tables import world_toml
