@@ -96,20 +96,12 @@ def contents(jobs: Iterable[Job]) -> dict[str, str]:
 def run_config(job: Job) -> RunConfig:
     """The run configuration of a job."""
     begin = fault_begins(job)
-    return RunConfig(
-        world_source(job.world),
-        job.noise,
-        job.preset,
-        job.seed,
-        job.max_time if begin is None else begin + job.after_fault,
-        job.laps,
-        robots=job.robots,
-        ablation=job.ablation,
-        policy=job.policy,
-        limit=job.limit,
-        until=job.until,
-        kidnap_at=begin if job.fault == KIDNAPPED else None,
-    )
+    changed = {
+        "world": world_source(job.world),
+        "max_time": job.max_time if begin is None else begin + job.after_fault,
+        "kidnap_at": begin if job.fault == KIDNAPPED else None,
+    }
+    return RunConfig(**job.spec | changed)
 
 
 def run_job(job: Job) -> Outcome:

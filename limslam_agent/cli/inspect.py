@@ -71,7 +71,7 @@ def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.runs.inspection import inspect_log
 
-    options = given.merged(ReplayOptions(), ("agent", "robot"))
+    options = given.merged(ReplayOptions())
     if options.log is None:
         raise ValueError(f"{given.path}: names no log")
     if options.other_log is not None:

@@ -34,7 +34,7 @@ def live(
     from limslam_agent.runs.policies import check_belief_policy
 
     given = Given.read(config, {**told, "robot": robot})
-    options = given.merged(LiveOptions(), ("agent", "robot"))
+    options = given.merged(LiveOptions())
     ways = {
         "--serial": options.serial is not None,
         "--udp": options.udp is not None,

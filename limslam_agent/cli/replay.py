@@ -36,7 +36,7 @@ def replay(
     """Draw a map from a recorded log, or from two logs of one building."""
     paths = {**_pair("log", log, "LOG"), **_pair("relations", relations, "--relations")}
     given = Given.read(config, {**told, **paths, "robot": robot})
-    options = given.merged(ReplayOptions(), ("agent", "robot"))
+    options = given.merged(ReplayOptions())
     agent = replay_agent(given, options)
     warn(given.warnings(options.preset))
     robot_of_table = _with_axle(given.replay_robot(), options.axle)

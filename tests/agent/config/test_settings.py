@@ -317,9 +317,7 @@ def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
 
 
 def test_paths_of_a_file_are_relative_to_it(tmp_path):
-    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(
-        ReplayOptions(), ("agent",)
-    )
+    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(ReplayOptions())
     assert (options.log, str(options.relations)) == (tmp_path / "logs" / "a.clf", "/known")
     assert run_options(given(tmp_path, 'world = "mine.yaml"')).world == str(tmp_path / "mine.yaml")
     assert run_options(given(tmp_path, 'world = "env2"')).world == "env2"
