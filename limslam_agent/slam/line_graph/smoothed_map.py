@@ -59,7 +59,7 @@ def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
     against = np.empty(len(rays))
     nothing = np.zeros(hits.shape)
     count_passes(rays, state.line_rows, low, margin, misses, nothing, against)
-    shares = _is_wall(hits) * np.minimum(hits / np.maximum(misses, 1), 1.0)
+    shares = np.where(_is_wall(hits), np.minimum(hits / np.maximum(misses, 1), 1.0), 0.0)
     count_passes(rays, state.line_rows, low, margin, misses.copy(), shares, against)
     counted = np.stack((hits, misses), axis=1)
     return [
