@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
@@ -63,6 +64,7 @@ def replay_log(
         for name in ("estimated", "odometry"):
             rows[name][own] = compose(mapper.prior_frame, rows[name][own])
     slam = mapper.slam
+    calibration = slam.odometry_calibrations[0]
     replay = Replay(
         log=log,
         config=config,
@@ -72,13 +74,12 @@ def replay_log(
         segments=slam.segments,
         grid=mapper.grid,
         refused_readings=estimate.refused_readings - log.repeated,
-        self_calibration=slam.odometry_calibration
-        and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
+        self_calibration=calibration and SelfCalibration(*calibration, log.robot.axle),
         wall_clock=time.perf_counter() - begin,
         places=estimate.places,
         handed_over=estimate.handed_over,
         beam_turns=slam.beam_turns,
-        sensor=slam.sensor,
+        sensor=slam.sensor if isinstance(config.estimator, ConsistentConfig) else None,
     )
     # The line smoother does not know the lines of an earlier map.
     sees_all = mapper.prior_frame is None

@@ -23,6 +23,7 @@ from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.front_end import yaw_of
+from limslam_agent.slam.slam import ConsistentEstimator
 from limslam_agent.status.status import LEVELS
 from limslam_env.bounds import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -116,7 +117,7 @@ def _episode(
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         is_joined=not team.mapper.is_apart,
-        sensor=team.slam.sensor,
+        sensor=team.slam.sensor if isinstance(team.slam, ConsistentEstimator) else None,
         beam_turns=team.slam.beam_turns,
         **_in_one_frame(columns, team.mapper),
     )
