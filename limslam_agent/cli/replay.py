@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import ReplayOptions, takes
 from limslam_agent.cli.settings import Given, replay_agent, write_replay_settings
-from limslam_agent.cli.terminal import progress_bar, say, warn
+from limslam_agent.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -36,7 +36,7 @@ def replay(
     """Draw a map from a recorded log, or from two logs of one building."""
     paths = {**_pair("log", log, "LOG"), **_pair("relations", relations, "--relations")}
     given = Given.read(config, {**told, **paths, "robot": robot})
-    options = given.merged(ReplayOptions(), ("agent", "robot"))
+    options = given.merged(ReplayOptions())
     agent = replay_agent(given, options)
     warn(given.warnings(options.preset))
     robot_of_table = _with_axle(given.replay_robot(), options.axle)

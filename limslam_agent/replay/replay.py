@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
@@ -68,6 +69,7 @@ def replay_log(
         for name in ("estimated", "odometry"):
             columns[name][own] = compose(mapper.prior_frame, columns[name][own])
     slam = mapper.slam
+    calibration = slam.odometry_calibrations[0]
     replay = Replay(
         log=log,
         config=config,
@@ -77,13 +79,12 @@ def replay_log(
         segments=slam.segments,
         grid=mapper.grid,
         refused_readings=estimate.refused_readings - log.repeated,
-        self_calibration=slam.odometry_calibration
-        and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
+        self_calibration=calibration and SelfCalibration(*calibration, log.robot.axle),
         wall_clock=time.perf_counter() - begin,
         places=estimate.places,
         handed_over=estimate.handed_over,
         beam_turns=slam.beam_turns,
-        sensor=slam.sensor,
+        sensor=slam.sensor if isinstance(config.estimator, ConsistentConfig) else None,
     )
     # The line smoother does not know the lines of an earlier map.
     by_lines = mapper.prior_frame is None and log.wheels is not None

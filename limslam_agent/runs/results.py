@@ -109,7 +109,7 @@ def score(episode: Episode) -> dict[str, Any]:
         else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
     )
     estimates = {**trajectory, **limit, **smoothed, **walls}
-    if config.prior_map is not None and not episode.in_prior_map:
+    if config.map is not None and not episode.in_prior_map:
         # The estimates are in a frame of their own, and can be compared with the truth only when
         # aligned.
         estimates = {
@@ -347,7 +347,7 @@ def _config(episode: Episode) -> dict[str, Any]:
         "laps": config.laps,
         "limit": config.limit,
         "kidnap_at": config.kidnap_at,
-        "map": config.prior_map and str(config.prior_map),
+        "map": config.map and str(config.map),
         "unknown_starts": config.unknown_starts,
         "imu": config.imu,
         "robot": asdict(config.robot),
