@@ -86,6 +86,8 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
+    "limslam_agent.terminal": env("messages"),
+    "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
@@ -309,14 +311,20 @@ def imports(path: Path) -> frozenset[str]:
     return frozenset(found)
 
 
-def place_of(name: str) -> str:
-    """The package that a module or a name in it belongs to; of modules beside the packages, the
-    module itself.
-    """
+def module_of(name: str) -> str:
+    """The module that a name belongs to."""
     asked = name
     while name not in MODULES:
         name, dot, _ = name.rpartition(".")
         assert dot, f"{asked} is neither a module of the project nor a name in one"
+    return name
+
+
+def place_of(name: str) -> str:
+    """The package that a module or a name in it belongs to; of modules beside the packages, the
+    module itself.
+    """
+    name = module_of(name)
     if name in PACKAGES or name.count(".") == 1:
         return name
     return name.rpartition(".")[0]
@@ -362,6 +370,30 @@ def test_no_package_is_in_an_import_circle():
         leaves = {place for place, others in graph.items() if not others & set(graph)}
         assert leaves, f"these import each other: {sorted(graph)}"
         graph = {place: others for place, others in graph.items() if place not in leaves}
+
+
+# The listener of an association takes the estimator that makes it.
+IN_A_CIRCLE = {"association", "consistent", "merging", "reports"}
+
+
+def modules_imported(name: str) -> set[str]:
+    """The files of the project that a file imports. The two packages load on demand what users ask
+    for.
+    """
+    if name in {"limslam_env", "limslam_agent"}:
+        return set()
+    own = {full for full in imports(MODULES[name]) if full.split(".")[0] in TOPS}
+    return {module_of(full) for full in own} - {name}
+
+
+def test_no_file_is_in_an_import_circle():
+    graph = {name: modules_imported(name) for name in MODULES}
+    while leaves := {name for name, others in graph.items() if not others & set(graph)}:
+        graph = {name: others for name, others in graph.items() if name not in leaves}
+    while unused := set(graph) - set().union(*graph.values()):
+        graph = {name: others for name, others in graph.items() if name not in unused}
+    known = {f"limslam_agent.slam.consistent.{name}" for name in IN_A_CIRCLE}
+    assert set(graph) - known == set()
 
 
 @pytest.mark.parametrize(

@@ -20,10 +20,10 @@ from limslam_agent.kernels.algebra import (
     quantile,
     whiten,
 )
+from limslam_agent.kernels.beams import end_of_ray, line_about, predict_ranges, ray_from
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import clones_from, dense_block
 from limslam_agent.kernels.lines import fit_line
-from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     AROUND_KINK,
@@ -105,7 +105,7 @@ def fit_segment(
     d = 0.0
     foot = foot_of(points, r, theta)
     expected = np.empty((len(places), 7))
-    predict_ranges(x, start, places, rows, every, (d, theta), foot, expected)
+    predict_ranges(x, start, places, rows, every, line_about(d, theta, foot), expected)
     clear = np.flatnonzero(np.abs(expected[:, 6]) > GRAZING)
     count = len(clear)
     left = np.empty(count)
@@ -119,7 +119,8 @@ def fit_segment(
     factorise(factor, count)
     for iteration in range(2):
         if iteration:
-            predict_ranges(x, start, places, rows, clear, (d, theta), foot, expected)
+            line = line_about(d, theta, foot)
+            predict_ranges(x, start, places, rows, clear, line, expected)
         for i in range(count):
             values[i, 0] = rows[clear[i], 3] - expected[i, 0]
             values[i, 1] = expected[i, 4]
@@ -140,8 +141,8 @@ def fit_segment(
     sin = math.sin(theta)
     for i in range(len(places)):
         at = start + POSE * places[i]
-        angle = ray_angle(rows[i], x[at + 2], theta)
-        hit_x, hit_y = end_of_beam(x, at, rows[i], angle, reaches[i])
+        ray = ray_from((x[at], x[at + 1], x[at + 2]), rows[i], (cos, sin))
+        hit_x, hit_y = end_of_ray(ray, reaches[i])
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
     ordered = np.sort(along[clear])
     cosines = expected[:, 6].copy()

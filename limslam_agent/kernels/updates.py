@@ -11,6 +11,7 @@ import numpy as np
 
 from limslam_agent.kernels import tables
 from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
+from limslam_agent.kernels.beams import line_about, predict_ranges
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import (
     clones_from,
@@ -21,7 +22,6 @@ from limslam_agent.kernels.covariance import (
     size_of,
     transport_rows,
 )
-from limslam_agent.kernels.measurement import predict_ranges
 from limslam_agent.kernels.tables import (
     CLONES,
     FEWEST_TO_COMPARE,
@@ -48,8 +48,7 @@ def expected_of(ekf: Filter, readings: Readings, index: int) -> FloatArray:
         readings.places,
         readings.rows,
         np.arange(len(readings.places)),
-        (ekf.x[at], ekf.x[at + 1]),
-        (ekf.anchors[index, 0], ekf.anchors[index, 1]),
+        line_about(ekf.x[at], ekf.x[at + 1], (ekf.anchors[index, 0], ekf.anchors[index, 1])),
         out,
     )
     return out

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.kernels.beams import ends_of_beams
 from limslam_agent.kernels.covariance import (
     copy_pose,
     correct_state,
@@ -20,7 +21,6 @@ from limslam_agent.kernels.covariance import (
     keep_states,
     move_pose,
 )
-from limslam_agent.kernels.measurement import ends_of_beams
 from limslam_agent.kernels.tables import (
     CLONES,
     LINES,

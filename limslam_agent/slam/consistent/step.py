@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.extents import add_wall, clear_along_beams, count_hits
+from limslam_agent.kernels.extents import Looks, add_wall, clear_along_beams, count_hits
 from limslam_agent.kernels.lines import extract_lines
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import (
@@ -175,16 +175,15 @@ def clear_passed(belief: Belief, robot: int, scan: Scan, setup: Setup) -> None:
     if ekf.counts[LINES]:
         clear_along_beams(
             belief.walls,
-            ekf.x,
-            ekf.P,
-            ekf.counts,
-            ekf.anchors,
+            ekf,
             POSE * robot,
-            scan.ranges,
-            scan.measured,
-            setup.table,
-            (setup.settings.std, setup.settings.growth),
-            np.empty((len(scan.ranges), 6)),
+            Looks(
+                scan.ranges,
+                scan.measured,
+                setup.table,
+                setup.settings.std,
+                setup.settings.growth,
+            ),
         )
 
 
