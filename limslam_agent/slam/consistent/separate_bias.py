@@ -272,7 +272,7 @@ class ConstantErrors:
                 direct = by_range_errors(seen, len(self.ranges.stds[TURNS]))
                 measured[:, -direct.shape[1] :] += direct
         joined = np.column_stack((measured, update.innovation, by_curvature))
-        scaled: FloatArray = np.linalg.solve(np.tril(update.factor), joined)
+        scaled = np.asarray(np.linalg.solve(np.tril(update.factor), joined))
         by_errors -= update.W.T @ scaled[:, :-2]
         by_errors += after @ by_errors[:POSE]
         first = 0
