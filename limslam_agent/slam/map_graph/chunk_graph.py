@@ -17,8 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.graph.factors import Relations, cauchy, dynamic_covariance_scaling, relation
+from limslam_agent.slam.graph.factors import Relations, cauchy, relation
 from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
+from limslam_agent.slam.map_graph.factors import loop_kernel
 from limslam_agent.slam.map_graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, integrate
 from limslam_agent.slam.map_graph.local_maps import LocalMap
 from limslam_agent.slam.map_graph.matching import (
@@ -37,9 +38,7 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 _HOP_INFLATION = 6.0
 _HOP_POSITION = 0.03
 _HOP_TURN = math.radians(1.0)
-# scales of the Cauchy kernel of the hops, and of dynamic covariance scaling, as chi-squares
-_HOP_KERNEL = 9.0
-_LOOP_KERNEL = 3.0
+_HOP_KERNEL = 9.0  # scale of the Cauchy kernel of the hops, as a chi-square
 # Successive factors of both kernels, from the chain of hops on; the last two from a solution that
 # is nearly right.
 _ANNEALING = 1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0
@@ -171,15 +170,8 @@ def _graph(
     certainty = np.asarray(np.linalg.inv(hops.covariances))
     chain = relation(poses, np.column_stack((first, first + 1)), hops.motions, certainty)
     graph.add_robust(chain, cauchy(_HOP_KERNEL * factor))
-    return graph, add_loops(graph, poses, relations_of(loops), factor)
-
-
-def add_loops(
-    graph: Graph, poses: FloatArray, relations: Relations, factor: float = 1.0
-) -> FloatArray:
-    """Add loops with a kernel that is wider by a factor. Returns their weights (f,)."""
-    kernel = dynamic_covariance_scaling(_LOOP_KERNEL * factor)
-    return graph.add_robust(relation(poses, *relations), kernel)
+    closures = relation(poses, *relations_of(loops))
+    return graph, graph.add_robust(closures, loop_kernel(factor))
 
 
 class ChunkGraph:

@@ -6,8 +6,8 @@ a turn about its centre, and an offset.
 
 import numpy as np
 
-from limslam_agent.slam.graph.factors import relation
-from limslam_agent.slam.graph.graph import Factors, Keys
+from limslam_agent.slam.graph.factors import dynamic_covariance_scaling, relation
+from limslam_agent.slam.graph.graph import Factors, Keys, RobustKernel
 from limslam_agent.slam.map_graph.key_poses import (
     ERRORS,
     KeyPoses,
@@ -18,6 +18,13 @@ from limslam_agent.slam.map_graph.key_poses import (
 from limslam_agent.slam.map_graph.point_links import PointCloud
 from limslam_agent.slam.map_graph.wall_lines import WallLines
 from limslam_env.geometry import FloatArray, IntArray
+
+_LOOP_KERNEL = 3.0  # scale of dynamic covariance scaling, as a chi-square
+
+
+def loop_kernel(widening: float = 1.0) -> RobustKernel:
+    """The kernel of loops, which is wider by a factor."""
+    return dynamic_covariance_scaling(_LOOP_KERNEL * widening)
 
 
 def odometry(keys: KeyPoses, trajectory: Trajectory) -> Factors:

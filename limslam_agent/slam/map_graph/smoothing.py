@@ -14,8 +14,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations, geman_mcclure, prior, relation
 from limslam_agent.slam.graph.graph import Graph, Nodes
-from limslam_agent.slam.map_graph.chunk_graph import add_loops
-from limslam_agent.slam.map_graph.factors import odometry, point_link, point_on_wall
+from limslam_agent.slam.map_graph.factors import loop_kernel, odometry, point_link, point_on_wall
 from limslam_agent.slam.map_graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
 from limslam_agent.slam.map_graph.point_links import links_across, links_along, point_cloud
 from limslam_agent.slam.map_graph.wall_lines import find_lines
@@ -163,7 +162,7 @@ def _graph(
         graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))
         graph.add(prior("walls", np.zeros((count, 2)), _WALL_PRIOR * np.eye(2)))
     if relations:
-        add_loops(graph, poses, relations)
+        graph.add_robust(relation(poses, *relations), loop_kernel())
     return graph
 
 
