@@ -15,8 +15,8 @@ from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.limits import LINE_PRIOR
 from limslam_agent.slam.graph.factors import prior
 from limslam_agent.slam.graph.graph import DegenerateError, Factors, Graph, Keys, Nodes
-from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
-from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
+from limslam_agent.slam.line_graph.factors import motion_jacobians
+from limslam_agent.slam.line_graph.problem import Expected, Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations
