@@ -87,7 +87,7 @@ def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArr
     reach = np.where(looks >= _SAME_WAY, _ACROSS * cell, _SIDEWAYS * cell)
     is_beside = (positions >= -_PAST * cell) & (positions <= lengths + _PAST * cell)
     is_drawn = is_beside & (np.abs(x * along_y - y * along_x) <= reach)
-    return ~is_drawn.any(axis=1)
+    return np.asarray(~is_drawn.any(axis=1))
 
 
 def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
