@@ -61,11 +61,6 @@ class Drive:
         """Replace steps from a number on by others."""
         self.scans[first - self.begin : first - self.begin + len(scans)] = scans
 
-    def move(self, first: int, poses: Sequence[FloatArray]) -> None:
-        """Replace the poses of steps from a number on by others (m, 3)."""
-        for number, pose in enumerate(poses, first):
-            self.scans[number - self.begin] = self[number]._replace(pose=pose)
-
     def forget_before(self, number: int) -> None:
         """Forget the steps before a number, many at once."""
         if number >= self.begin + _FORGOTTEN:

@@ -204,7 +204,7 @@ class JoiningMapper(Mapper):
         """How the search ended. The second robot's own map is known after :meth:`finish`, if it was
         not placed.
         """
-        return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
+        return PlaceHistory(self._meeting.events, self._unplaced)
 
     def _is_to_restart(self, reported: Sequence[Observation]) -> bool:
         """A team does not begin again, since its robots are not at their starts any more."""

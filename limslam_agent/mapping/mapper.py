@@ -17,7 +17,6 @@ from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.frames import Errors, Frames
 from limslam_agent.mapping.recovery import Recovery
-from limslam_agent.places.lost import standing
 from limslam_agent.places.other_map import NOT_YET_FOUND, Lookup
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.places.saved_map import SavedMap
@@ -352,18 +351,9 @@ class Mapper:
         recovery = self._recovery
         if recovery is None:
             return PlaceHistory()
-        known = standing(recovery.events)
-        return PlaceHistory(
-            [each.revision for each in known if each.revision is not None],
-            [each.carried_at for each in known if each.carried_at is not None],
-            [each.slipped for each in known if each.slipped is not None],
-            self._unplaced,
-            [
-                *(self._lookup.records if self._lookup is not None else ()),
-                *(event.record for event in recovery.events),
-            ],
-            self._frames.present.monitors[0].mistaken >= LIMIT,
-        )
+        events = (() if self._lookup is None else self._lookup.events) + recovery.events
+        is_suspicious = self._frames.present.monitors[0].mistaken >= LIMIT
+        return PlaceHistory(events, self._unplaced, is_suspicious)
 
     @property
     def covariances(self) -> FloatArray:

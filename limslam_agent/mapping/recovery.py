@@ -30,29 +30,31 @@ from limslam_agent.places.localisation import (
 )
 from limslam_agent.places.lost import (
     LEAST_KNOWN,
-    Event,
+    Checkpoints,
     Here,
     KnownFrame,
     Lost,
     Placed,
     Placement,
-    carried_after,
-    driven_back,
-    known_before,
-    standing,
+    placed_until_carried,
 )
-from limslam_agent.places.revisions import BEGUN_ANEW, GIVEN_UP, NOT_CONFIRMED, Revision, Unplaced
+from limslam_agent.places.revisions import (
+    BEGUN_ANEW,
+    GIVEN_UP,
+    NOT_CONFIRMED,
+    Event,
+    PlaceHistory,
+    Revision,
+    Unplaced,
+)
 from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import STEPS, moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.se2 import transform_points
 
-# Number of steps between two copies of the estimate, number of copies that are kept, and least
-# number of steps by which a copy must be older than the first doubt about the estimate.
-_CHECKPOINT = 50
-_CHECKPOINTS = 6
+# Least number of steps by which a copy of the estimate must be older than the first doubt about it
 _MARGIN = 100
 
 LONGEST_ABSENCE = 18_000
@@ -81,7 +83,7 @@ class Recovery:
         self._frames = frames
         self._drive = frames.drives[0]
         self.begin = 0
-        self._copies: list[KnownFrame] = []
+        self._copies = Checkpoints()
         self.state: Here | Lost | Placed = Here()
         self.events: tuple[Event, ...] = ()
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
@@ -145,7 +147,7 @@ class Recovery:
         """A renewal has moved the latest steps: copies from before and searches mean nothing any
         more.
         """
-        self._copies = []
+        self._copies = Checkpoints()
         self._doubt = None
         if not isinstance(self.state, Here):
             self.state.search.latest = None
@@ -179,12 +181,8 @@ class Recovery:
         self.state = Here()
 
     def give_up(self) -> Unplaced | None:
-        """Take back the map that a robot was lost from which is still lost at the end.
-
-        Returns
-        -------
-        Its local map, since its place in the map that is taken back remains unknown; None if it is
-        not lost.
+        """Take back the map that a robot was lost from which is still lost, and return the local
+        one.
         """
         if not isinstance(self.state, Lost):
             return None
@@ -204,10 +202,7 @@ class Recovery:
         return self.state if isinstance(self.state, Lost) else self.state.lost
 
     def _note(self, own: StatusMonitor) -> None:
-        """Count the latest step, and now and then copy the estimate after it.
-
-        While the robot may have been carried away, half of the copies are kept from before.
-        """
+        """Count the latest step, and now and then copy the estimate after it."""
         end = self._drive.end
         motion = self._drive.scans[-1].motion
         if not isinstance(self.state, Here):
@@ -218,23 +213,17 @@ class Recovery:
                 return
         elif self._doubt is not None:
             self._doubt[1].drive(motion)
-        if not self._copies or end % _CHECKPOINT == 0:
-            young = [each for each in self._copies if each.step > end - LONGEST_ABSENCE]
-            kept = young[: _CHECKPOINTS // 2] if own.is_suspicious else []
-            later = [*young[len(kept) :], self._copy()]
-            self._copies = [*kept, *later[len(kept) - _CHECKPOINTS :]]
-            oldest = self._copies[0].step
+        if self._copies.is_due(end):
+            self._copies.add(self._copy(), LONGEST_ABSENCE, keeps_old=own.is_suspicious)
+            oldest = self._copies.oldest
             if isinstance(self.state, Here):
                 self._forget_before(oldest)
             elif self.state.lost is None:
                 self._forget_before(min(oldest, end - STEPS))
 
     def _forget_before(self, number: int) -> None:
-        """Need the steps before a number no more.
-
-        The last two steps always stay: a local frame begins at the pose after the first one kept,
-        with the step after.
-        """
+        """Need the steps before a number no more, but for the last two of all steps."""
+        # A local frame begins at the pose after the first one kept, with the step after.
         self.begin = max(self.begin, min(number, self._drive.end - 2))
 
     def _copy(self) -> KnownFrame:
@@ -242,9 +231,7 @@ class Recovery:
         return KnownFrame(self._drive.end, present.slam.copied(), present.grid.copied())
 
     def _lose(self, loss: Loss, jump: float) -> None:
-        """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local
-        frame. The odometry has jumped by a distance, m.
-        """
+        """See to it that a lost robot goes on: in a renewed map, near by, or in a local frame."""
         # The map of a local frame does not say where the robot is in the frame that it was lost
         # from.
         known = None if isinstance(self.state, Lost) else loss.known
@@ -260,12 +247,10 @@ class Recovery:
             self._go_on_at(found)
 
     def _note_loss(self, loss: Loss, jump: float) -> Lost:
-        """The robot is lost, and the odometry has jumped by a distance, m.
-
-        A robot whose place was found and is wrong goes back to the frame as it was before, and to
-        what it believed and knew when it was lost from there: what it has read at a wrong place
-        says nothing of the earlier map. If it has slipped since then, its place was right.
-        """
+        """The robot is lost, and the odometry has jumped by a distance, m."""
+        # A robot whose place was found and is wrong goes back to the frame as it was before, and to
+        # what it believed and knew when it was lost from there: what it has read at a wrong place
+        # says nothing of the earlier map. If it has slipped since then, its place was right.
         before = self.state
         first = max(loss.step, self.begin + 1)
         is_wrong = False
@@ -281,7 +266,7 @@ class Recovery:
             lost = self._lost_from(first, loss, jump)
         self.state = lost = replace(lost, first=max(first, self.begin + 1))
         lost.search.begin_anew()
-        self._copies = []
+        self._copies = Checkpoints()
         record = {"event": "lost", "step": lost.first, "reason": loss.status.reason}
         self.events += (Event(record, refutes=is_wrong),)
         return lost
@@ -292,7 +277,7 @@ class Recovery:
         If the readings have said in which step it was carried away, the map until then is good.
         """
         margin = 1 if loss.is_dated else _MARGIN
-        known = known_before(self._copies, first, margin) or self._copy()
+        known = self._copies.before(first, margin) or self._copy()
         self._forget_before(known.step)
         since = max(first, self.begin + 1)
         slam = self._frames.present.slam
@@ -310,11 +295,7 @@ class Recovery:
         )
 
     def _stay(self) -> None:
-        """Give up the frame from which the robot was lost.
-
-        The map in which it is now takes the place of the earlier one, and the robot is unsure of it
-        until nothing speaks against it.
-        """
+        """Give up the frame from which the robot was lost for its present map."""
         self._frames.own_map = self._frames.map_number
         lost = self.state
         if isinstance(lost, Lost):
@@ -334,10 +315,9 @@ class Recovery:
     def _still_fits(self, own: StatusMonitor) -> bool:
         """Whether all readings of a robot that has drifted still fit, although its monitor says
         that it is lost.
-
-        The monitor judges by a few readings what the search for a place judges by hundreds. Both
-        have to agree, or the robot would be lost and found in turns.
         """
+        # The monitor judges by a few readings what the search for a place judges by hundreds. Both
+        # have to agree, or the robot would be lost and found in turns.
         placed = self.state
         if not isinstance(placed, Placed) or not placed.has_drifted or own.loss is None:
             return False
@@ -372,7 +352,7 @@ class Recovery:
             self._doubt = None
             return None
         if self._doubt is None or self._doubt[0] != doubt.step:
-            known = known_before(self._copies, doubt.step, 1)
+            known = self._copies.before(doubt.step)
             if known is None:
                 return None
             self._doubt = doubt.step, PlaceSearch(known.places)
@@ -412,33 +392,22 @@ class Recovery:
     def _placement(self, lost: Lost, rays: FloatArray, found: Localisation) -> Placement:
         """Where the robot was before it was carried away."""
         assert found.fit is not None  # noqa: S101 (a place was found)
-        drive = self._drive
         frame = found.fit.pose
-        last = max(lost.first - 1, self.begin)
-        # A robot that was lost in its local frame, too, was carried away before it was lost for the
-        # first time.
-        back = driven_back(drive.between(self.begin, last + 1), compose(frame, drive[last].pose))
-        placed = back[: max(lost.since - self.begin, 1)]
-        count = len(placed)
-        if not lost.loss.is_dated:
-            scans = drive.since(self.begin)
-            robot, sensor = self._frames.robot, self._frames.present.slam.range_sensor
-            count = carried_after(scans, placed, robot, sensor, lost.search.place)
-        pose = placed[count - 1]
+        scans = self._drive.since(self.begin)
+        sensor = self._frames.present.slam.range_sensor
+        placed = placed_until_carried(lost, scans, self.begin, frame, self._frames.robot, sensor)
+        pose = placed[-1]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
         placed_rays = moved(rays, frame)
         has_drifted = not is_far(frame, found.middle)
         if not has_drifted and not lost.was_moved:
             has_drifted = lost.known.explains(frame, covariance, placed_rays)
-        return Placement(self.begin + count, pose, covariance, placed_rays, has_drifted)
+        return Placement(self.begin + len(placed), pose, covariance, placed_rays, has_drifted)
 
     def _go_on_locally(self, lost: Lost) -> None:
-        """Begin a new map in a local frame, with the steps since the robot was lost.
-
-        The new map takes the place of the earlier one if that has too few walls for the robot to be
-        found in it.
-        """
+        """Begin a new map in a local frame, with the steps since the robot was lost."""
         frames = self._frames
+        # It takes the place of an earlier one in which the robot can't be found.
         is_anew = lost.known.walls_m < LEAST_KNOWN
         if is_anew:
             self._offset = self.added_covariance
@@ -459,11 +428,8 @@ class Recovery:
             self.state = Placed(BEGUN_ANEW, PlaceSearch(lost.search.place), None, lost.first)
 
     def _go_on_renewed(self, lost: Lost) -> bool:
-        """Renew the estimate of a robot that has just been lost, if that explains its readings;
+        """Renew the estimate, if that explains the readings, since the robot has only drifted;
         whether it was done.
-
-        The robot has drifted then, and was not carried away. Its place is to be confirmed. The
-        frame from before the doubt is kept until then.
         """
         present = self._frames.present
         first = present.renewal.first + 1
@@ -499,10 +465,9 @@ class Recovery:
         frames.present.reset_monitors()
         changed: dict[str, Any] = {}
         if closed is None and found.has_drifted:
-            known = standing(self.events)
-            breaks = [each.carried_at for each in known if each.carried_at is not None]
-            slips = [each.slipped[1] for each in known if each.slipped is not None]
-            changed = {"slipped": (max([0, *breaks, *slips]), found.step)}
+            past = PlaceHistory(self.events)
+            known = max([0, *past.breaks, *(last for _, last in past.slips)])
+            changed = {"slipped": (known, found.step)}
         elif closed is None:
             changed = {"carried_at": found.step}
         details = {"step": self._drive.end - 1, "carried_at": found.step}
@@ -510,9 +475,7 @@ class Recovery:
         self._return(lost, closed, rays=rays, has_drifted=found.has_drifted)
 
     def _return(self, lost: Lost, place: KnownPlaces | None, **placed: Any) -> None:
-        """The robot goes on at a place that was found, in a map in which its readings have to fit
-        or in the known one.
-        """
+        """The robot goes on at a place that is to be confirmed, in a map or in the known one."""
         lost.search.wait()
         self.state = Placed(
             NOT_CONFIRMED,

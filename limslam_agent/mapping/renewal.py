@@ -171,7 +171,7 @@ class Renewal:
         self.has_jumped = bool(np.hypot(*off[:, :2].T).max() > LARGE_CORRECTION)
         if self.has_jumped or not is_expected:
             self._drive.replace(self.first + 1, scans)
-        self._drive.move(self._drive.end - 1, [self._slam.pose])
+        self._drive.scans[-1] = self._drive.scans[-1]._replace(pose=self._slam.pose)
         return True
 
     def _expects(self, pose: FloatArray) -> bool:

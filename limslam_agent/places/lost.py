@@ -1,28 +1,27 @@
-"""What is known of where a robot is: it is here, lost, or placed again without being sure of it.
-
-What has happened to it is a list of events, which only grows.
-"""
+"""What is known of where a robot is: here, lost, or placed again without being sure of it."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import KnownPlaces, PlaceSearch
-from limslam_agent.places.revisions import Revision
 from limslam_agent.record import Scan
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import Loss, covariance_of_lost
 from limslam_agent.status.rays import moved, step_rays, wall_points
 from limslam_agent.status.sudden_changes import change_evidence
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
 from limslam_env.interface import RobotSpec
+
+# Number of steps between two copies of the estimate, and number of copies that are kept
+_SPACING = 50
+_MOST = 6
 
 LEAST_KNOWN = 4.0
 """A robot that is lost from a map with a smaller length of walls, m, begins a new map.
@@ -71,18 +70,41 @@ class KnownFrame:
         return self.slam.map_state.closed(pose, covariance, wall_points(rays)) is not None
 
 
-def known_before(copies: Sequence[KnownFrame], first: int, margin: int) -> KnownFrame | None:
-    """The latest copy of an estimate that is older than the step ``first`` by a margin; None
-    without a copy.
+class Checkpoints:
+    """The latest copies of an estimate."""
 
-    If that copy has hardly a wall, because the drive has just begun, it is a later one from before
-    the step.
-    """
-    old = [copy for copy in copies if copy.step <= first - margin] or copies[:1]
-    if old and old[-1].walls_m >= LEAST_KNOWN:
-        return old[-1]
-    found = [copy for copy in copies if copy.step < first] or old
-    return found[-1] if found else None
+    def __init__(self) -> None:
+        self._copies: list[KnownFrame] = []
+
+    @property
+    def oldest(self) -> int:
+        """Number of the step of the oldest copy."""
+        return self._copies[0].step
+
+    def is_due(self, step: int) -> bool:
+        """Whether a copy is to be made before a step."""
+        return not self._copies or step % _SPACING == 0
+
+    def add(self, copy: KnownFrame, longest: int, *, keeps_old: bool) -> None:
+        """Keep another copy, and those before that are at most ``longest`` steps old. Half of them
+        are the oldest ones, if these are to be kept.
+        """
+        young = [each for each in self._copies if each.step > copy.step - longest]
+        kept = young[: _MOST // 2] if keeps_old else []
+        later = [*young[len(kept) :], copy]
+        self._copies = [*kept, *later[len(kept) - _MOST :]]
+
+    def before(self, first: int, margin: int = 1) -> KnownFrame | None:
+        """The latest copy that is older than a step by a margin; None without a copy.
+
+        If that copy has hardly a wall, because the drive has just begun, it is a later one from
+        before the step.
+        """
+        old = [copy for copy in self._copies if copy.step <= first - margin] or self._copies[:1]
+        if old and old[-1].walls_m >= LEAST_KNOWN:
+            return old[-1]
+        found = [copy for copy in self._copies if copy.step < first] or old
+        return found[-1] if found else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,41 +204,6 @@ class Placed:
     at: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
-class Event:
-    """Something that has happened to a robot.
-
-    Attributes
-    ----------
-    record
-        The event for ``result.json``.
-    revision
-        The poses of earlier steps as they are known since then.
-    carried_at, slipped
-        The step before which the robot was carried away, and the part of the drive in which it has
-        slipped.
-    refutes
-        Whether the place that was found before is wrong.
-    """
-
-    record: dict[str, Any]
-    revision: Revision | None = None
-    carried_at: int | None = None
-    slipped: tuple[int, int] | None = None
-    refutes: bool = False
-
-
-def standing(events: Sequence[Event]) -> list[Event]:
-    """The events whose revisions, breaks and slips nothing has refuted."""
-    found = list[Event]()
-    for event in events:
-        if event.refutes:
-            found.pop()
-        elif event.revision is not None:
-            found.append(event)
-    return found
-
-
 class Placement(NamedTuple):
     """How a robot goes on in the frame that it was lost from, or in the map of an earlier run.
 
@@ -261,59 +248,49 @@ class Placement(NamedTuple):
         return rays, KnownPlaces(slam.segments, grid.copied().view, slam.range_sensor)
 
 
-def driven_back(scans: Sequence[Scan], pose: FloatArray) -> FloatArray:
-    """Poses (m, 3) after each of some steps by the odometry alone. The last of them is ``pose``
-    (3,).
-    """
-    poses = [pose]
-    for scan in reversed(scans[1:]):
-        poses.append(compose(poses[-1], inverse(scan.motion)))
-    return np.array(poses[::-1])
-
-
-def carried_after(
+def placed_until_carried(
+    lost: Lost,
     scans: Sequence[Scan],
-    placed: FloatArray,
+    begin: int,
+    frame: FloatArray,
     robot: RobotSpec,
     sensor: RangeSensor,
-    place: KnownMap,
-) -> int:
-    """The number of steps after which a robot was carried away: earlier readings fit the poses that
-    were believed, later ones fit the poses by which it was placed again.
+) -> FloatArray:
+    """The poses (m, 3) of a lost robot in the known frame after the steps before it was carried
+    away.
 
-    Both are weighed by the evidence of the readings in the map, which is 0 on ground that the map
-    does not have. There, no reading contradicts anything, and a step would be taken for one of the
-    new place if only contradictions counted. The evidence of the change of the readings at the
-    break counts, too.
+    Earlier readings fit the poses that were believed, later ones fit the poses by which it was
+    placed again. Both are weighed by the evidence of the readings in the map, which is 0 on ground
+    that the map does not have. There, no reading contradicts anything, and a step would be taken
+    for one of the new place if only contradictions counted. The evidence of the change of the
+    readings at the break counts, too.
 
     Parameters
     ----------
-    scans
-        The steps. The robot was carried away after the first of them, and before the step after the
-        last placed one.
-    placed
-        Poses (m, 3) of the first m steps if the robot had been carried away before them.
+    scans, begin
+        The steps, and the number of the first of them. The robot was carried away after that one.
+    frame
+        Pose (3,) of the local frame in the known one.
     robot, sensor
         Body and beams as specified, and how ranges are measured.
-    place
-        The map of the time before.
     """
+    last = max(lost.first - 1 - begin, 0)
+    poses = [compose(frame, scans[last].pose)]
+    for scan in reversed(scans[1 : last + 1]):
+        poses.append(compose(poses[-1], inverse(scan.motion)))
+    # A robot that was lost in its local frame, too, was carried away before it was lost for the
+    # first time.
+    placed = np.array(poses[::-1])[: max(lost.since - begin, 1)]
+    if lost.loss.is_dated:
+        return placed
     mounted = sensor.mounted(robot)
-    # The steps before the break are explained by the poses that were believed, and the others by
-    # the placed ones.
-    gained = [
-        here.evidence - there.evidence
-        for scan, pose in zip(scans, placed, strict=False)
-        for here, there in [
-            place.weigh(
-                np.array([scan.pose, pose]),
-                step_rays(sensor.corrected(scan.ranges, robot), mounted),
-            )
-        ]
-    ]
+    gained = []
+    for scan, pose in zip(scans, placed, strict=False):
+        rays = step_rays(sensor.corrected(scan.ranges, robot), mounted)
+        here, there = lost.search.place.weigh(np.array([scan.pose, pose]), rays)
+        gained.append(here.evidence - there.evidence)
     totals = np.cumsum(gained)
-    changing = scans[: len(placed) + 1]
-    changes = change_evidence(changing, robot, sensor).sum(axis=1)
+    changes = change_evidence(scans[: len(placed) + 1], robot, sensor).sum(axis=1)
     totals[1 : 1 + len(changes)] += changes
     # Of equally good steps, the last one is the nearest to the first doubt.
-    return len(totals) - int(totals[::-1].argmax())
+    return placed[: len(totals) - int(totals[::-1].argmax())]

@@ -18,6 +18,7 @@ from limslam_agent.places.localisation import (
     other_place,
 )
 from limslam_agent.places.lost import Placement
+from limslam_agent.places.revisions import Event
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.record import Drive
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -51,8 +52,8 @@ class Lookup:
         The saved map, also as it is searched.
     is_open
         Whether the search goes on.
-    records
-        How the search ended, for ``result.json``.
+    events
+        How the search ended.
 
     Raises
     ------
@@ -73,7 +74,7 @@ class Lookup:
         self._search = PlaceSearch(self.place)
         self._step = -1
         self.is_open = True
-        self.records: list[dict[str, Any]] = []
+        self.events: tuple[Event, ...] = ()
 
     def drive(self, motion: FloatArray) -> None:
         """Note the motion (3,) of a step."""
@@ -108,7 +109,8 @@ class Lookup:
         self._close("not found in the saved map", reason=reason)
 
     def _close(self, event: str, **details: Any) -> None:
-        self.records.append({"event": event, "step": self._step, **details, **self._search.record})
+        record = {"event": event, "step": self._step, **details, **self._search.record}
+        self.events += (Event(record),)
         self.is_open = False
 
 
@@ -154,14 +156,14 @@ class Meeting:
     ----------
     is_open
         Whether the place is not found, or not confirmed, and the search goes on.
-    records
-        How the search ended, for ``result.json``.
+    events
+        How the search ended.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
         self._robot = robot
         self.is_open = True
-        self.records: list[dict[str, Any]] = []
+        self.events: tuple[Event, ...] = ()
         nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
         self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
         self._step = -1
@@ -231,7 +233,7 @@ class Meeting:
             return ""
         ambiguity = other_place(shared, self._rays)
         if not ambiguity:
-            self.records.append({"event": "confirmed", "step": self._step})
+            self.events += (Event({"event": "confirmed", "step": self._step}),)
             self.is_open = False
         return ambiguity if is_complete else ""
 
@@ -247,7 +249,7 @@ class Meeting:
 
     def _tell(self, event: str, **details: Any) -> None:
         step = max(self._step, 0)
-        self.records.append({"event": event, "step": step, **details, **self._search.record})
+        self.events += (Event({"event": event, "step": step, **details, **self._search.record}),)
 
 
 def may_have_met(poses: FloatArray, ranges: FloatArray, robot: RobotSpec) -> BoolArray:
