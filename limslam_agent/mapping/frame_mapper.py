@@ -12,7 +12,7 @@ from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
 from limslam_agent.record import Drive, Scan
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator, is_renewable
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.status import LARGE_CORRECTION
@@ -45,7 +45,7 @@ class FrameMapper:
 
     def __init__(
         self,
-        slam: LineSlam,
+        slam: Estimator,
         grid: OccupancyGrid,
         config: AgentConfig,
         drives: Sequence[Drive],
@@ -57,7 +57,7 @@ class FrameMapper:
         self._drives = drives
         self.slam_ms = 0.0
         self.drawers = drawers or self._new_drawers()
-        self._places = slam.range_sensor.places
+        self._places = slam.sensor.places
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -68,9 +68,7 @@ class FrameMapper:
     def reset_monitors(self) -> None:
         """Forget all doubts about the estimates so far."""
         slam = self.slam
-        self.monitors = [
-            StatusMonitor(slam.robot, slam.range_sensor, drive) for drive in self._drives
-        ]
+        self.monitors = [StatusMonitor(slam.robot, slam.sensor, drive) for drive in self._drives]
 
     def process(
         self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True
@@ -138,7 +136,7 @@ class FrameMapper:
         """See to it that monitors and grid know what the SLAM has corrected since the poses
         ``before`` (n, 3): the map, or where the beams are and point.
         """
-        sensor = self.slam.range_sensor
+        sensor = self.slam.sensor
         off = self.slam.poses - compose(before, np.array(self.slam.increments))
         if np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION:
             for monitor in self.monitors:  # that of one robot has moved the map of all
@@ -170,13 +168,11 @@ class FrameMapper:
         monitor = self.monitors[number]
         slam = self.slam
         if monitor.observe(is_busy=is_busy):
-            monitor.sensor = slam.range_sensor
+            monitor.sensor = slam.sensor
             counts = self._config.free_space_counts
-            known = KnownMap(
-                slam.segments, self.grid.view, slam.range_sensor, free_space_counts=counts
-            )
+            known = KnownMap(slam.segments, self.grid.view, slam.sensor, free_space_counts=counts)
             monitor.check(slam.covariances[number], known)
-            if monitor.broken is not None and slam.is_renewable:
+            if monitor.broken is not None and is_renewable(slam):
                 slam.leave_out(monitor.broken)
 
 

@@ -8,7 +8,13 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.frame_mapper import FrameMapper
 from limslam_agent.record import Drive, Scan
 from limslam_agent.slam.core.motion import OdometryCalibration
-from limslam_agent.slam.slam import LineSlam, RangeSensor
+from limslam_agent.slam.slam import (
+    ConsistentEstimator,
+    Estimator,
+    LineSlam,
+    RangeSensor,
+    is_renewable,
+)
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -18,12 +24,12 @@ class Errors(NamedTuple):
     state from the start.
     """
 
-    sensor: RangeSensor | None  # the sensor as it is known now
+    sensor: RangeSensor  # the sensor as it is known now
     is_calibrated: list[bool]  # whether sizes of wheels and axle of each robot are corrected
     holds: list[list[float]]  # for how many steps the beams of each robot repeat their readings
 
     @classmethod
-    def of(cls, slam: LineSlam) -> "Errors":
+    def of(cls, slam: Estimator) -> "Errors":
         """The errors that a SLAM has found."""
         is_calibrated = [
             each is not None and isinstance(each[0], OdometryCalibration)
@@ -55,7 +61,7 @@ class Frames:
         ms.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, slam: LineSlam) -> None:
+    def __init__(self, robot: RobotSpec, config: AgentConfig, slam: Estimator) -> None:
         self.robot = robot
         self.config = config
         self.drives = [Drive() for _ in slam.robots]
@@ -63,7 +69,14 @@ class Frames:
         self.frame = self.map_number = self.own_map = self._maps = 0
         self.slam_ms = 0.0
 
-    def slam_at(self, starts: FloatArray) -> LineSlam:
+    @property
+    def followed(self) -> ConsistentEstimator:
+        """The SLAM of a robot that finds its place again when it is lost."""
+        slam = self.present.slam
+        assert is_renewable(slam)  # noqa: S101 (no other one is followed)
+        return slam
+
+    def slam_at(self, starts: FloatArray) -> Estimator:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and
         sensor.
         """
@@ -71,12 +84,13 @@ class Frames:
         found = Errors.of(present)
         config = self_calibrating(self.config) if any(found.is_calibrated) else self.config
         slam = LineSlam(self.robot, config, starts, found.sensor)
-        slam.know_repeats(present)
-        if slam.range_sensor.delay:  # it cannot find them in travel that waits
-            slam.ticks = present.ticks.copy()
+        for front, known in zip(slam.robots, present.robots, strict=False):
+            front.know_repeats(known)
+            if found.sensor.delay:  # it cannot find them in travel that waits
+                front.ticks = known.ticks
         return slam
 
-    def use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+    def use(self, slam: Estimator, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame, with what is known of odometry and
         sensor.
         """

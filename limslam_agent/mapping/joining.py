@@ -19,7 +19,7 @@ from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.other_map import Meeting, OwnMap, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.late_ranges import WaitingTravel
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator, Estimator
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -146,7 +146,7 @@ class JoiningMapper(Mapper):
         self._unplaced = Unplaced(0, other.slam.segments, other.slam.landmarks, other.grid)
 
     @property
-    def slam(self) -> LineSlam:
+    def slam(self) -> Estimator:
         """The SLAM that the robots share; that of the first robot while they are apart."""
         return self._alone[0].slam if self.is_apart else super().slam
 
@@ -282,6 +282,7 @@ class JoiningMapper(Mapper):
         poses = smoothed.poses
         start = poses[0, 1]
         slam = self._frames.slam_at(poses[-1])
+        assert isinstance(slam, ConsistentEstimator)  # noqa: S101 (others are not joined)
         slam.know(smoothed.landmarks, smoothed.segments)
         slam.associations.extend(smoothed.associations)
         for number, front in enumerate(slam.robots):
@@ -292,7 +293,8 @@ class JoiningMapper(Mapper):
         is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
         self._frames.use(slam, grid)
-        slam.ticks[:] = [mapper.slam.ticks[0] for mapper in self._alone]
+        for front, mapper in zip(slam.robots, self._alone, strict=True):
+            front.ticks = mapper.slam.robots[0].ticks
         self._waiting = WaitingTravel(2, self.robot)
         odometry = np.array([each.odometry for each in self._believed])
         odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])
@@ -323,7 +325,7 @@ class JoiningMapper(Mapper):
         """
         own_maps = [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps
         grid = self.grid
-        shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
+        shared = KnownPlaces(self.slam.segments, grid, self.slam.sensor)
         is_complete = not leads_to_unseen(
             grid, self.poses[0], self.config.policy.min_frontier
         ).any()

@@ -26,7 +26,7 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator, Estimator, LineSlam
 from limslam_agent.status.chance import LIMIT
 from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
@@ -173,7 +173,7 @@ class Mapper:
         self._is_finished = False
         self._begin(LineSlam(self.robot, self.config, starts))
 
-    def _begin(self, slam: LineSlam) -> None:
+    def _begin(self, slam: Estimator) -> None:
         """Begin at the starts with an empty map."""
         self._frames = Frames(self.robot, self.config, slam)
         self._recovery = self._new_recovery()
@@ -222,10 +222,10 @@ class Mapper:
     def _process(self, reported: Sequence[Observation]) -> None:
         """Process copies of the observations of a step, or begin again by what they have shown."""
         slam = self.slam
-        observations = self._waiting.synchronous(reported, slam.range_sensor.delay)
+        observations = self._waiting.synchronous(reported, slam.sensor.delay)
         before = slam.last_extraction
         has_jumped = self._frames.process(observations)
-        if slam.last_extraction is not before:
+        if isinstance(slam, ConsistentEstimator) and slam.last_extraction is not before:
             slam.correct_delay()
         self._set_odometry(np.array(list(map(compose, self.odometry, slam.increments))))
         if self._lookup is not None and self._lookup.is_open:
@@ -265,7 +265,7 @@ class Mapper:
         self.slam.finish()
 
     @property
-    def slam(self) -> LineSlam:
+    def slam(self) -> Estimator:
         """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame
         has another SLAM.
         """
@@ -396,23 +396,24 @@ class Mapper:
         """
         if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
-        before = self._errors
-        self._errors = found = Errors.of(self.slam)
-        if found.sensor is None:
+        slam = self.slam
+        if not isinstance(slam, ConsistentEstimator):
             return False
         self._first_steps.append(reported)
-        if before.sensor is not None:
-            reach = self.robot.reach
-            ratio = found.sensor.usual_std(reach) / before.sensor.usual_std(reach)
-            if max(ratio, 1.0 / ratio) < _SAME_NOISE:
-                known = found.sensor._replace(std=before.sensor.std, growth=before.sensor.growth)
-                self._errors = found._replace(sensor=known)
-            if found.sensor.broken != before.sensor.broken:
-                self._restarts = 0  # what was found before may have been due to the broken beam
+        before = self._errors
+        found = Errors.of(slam)
+        reach = self.robot.reach
+        ratio = found.sensor.usual_std(reach) / before.sensor.usual_std(reach)
+        if max(ratio, 1.0 / ratio) < _SAME_NOISE:
+            known = found.sensor._replace(std=before.sensor.std, growth=before.sensor.growth)
+            found = found._replace(sensor=known)
+        if found.sensor.broken != before.sensor.broken:
+            self._restarts = 0  # what was found before may have been due to the broken beam
         if found.holds != before.holds:
-            self.slam.forget_sensor()
+            slam.forget_sensor()
             self._restarts = 0
-            self._errors = Errors.of(self.slam)
+            found = Errors.of(slam)
+        self._errors = found
         return self._errors != before and self._restarts < MOST_RESTARTS
 
     def _new_recovery(self) -> Recovery | None:
@@ -430,11 +431,12 @@ class Mapper:
             lookup.end("the robot was lost before its place was found")
             return
         frames = self._frames
-        found = lookup.seek(self.drive, self._starts[0], self.slam.range_sensor)
+        found = lookup.seek(self.drive, self._starts[0], self.slam.sensor)
         if found is None:
             return
         self.prior_frame = compose(found.pose, inverse(self._starts[0]))
         slam = frames.slam_at(found.pose)
+        assert isinstance(slam, ConsistentEstimator)  # noqa: S101 (others look nothing up)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
         slam.relocate(found.pose, found.covariance, ends=wall_points(found.rays))
         scans = self.drive.cut(0)

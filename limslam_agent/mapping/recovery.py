@@ -47,6 +47,7 @@ from limslam_agent.places.revisions import (
     Revision,
     Unplaced,
 )
+from limslam_agent.slam.slam import is_renewable
 from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import STEPS, moved, rays_of
@@ -174,7 +175,7 @@ class Recovery:
             if driven < FAR_CONFIRMED and frontier_cells(grid, least).any():
                 return
             slam = present.slam
-            shown = KnownPlaces(slam.segments, grid, slam.range_sensor)
+            shown = KnownPlaces(slam.segments, grid, slam.sensor)
             if other_place(shown, self._rays_of(placed)):
                 return
         self._tell("confirmed")
@@ -190,7 +191,7 @@ class Recovery:
         local = self._frames.present.grid.copied().view
         known = self.state.known
         self._frames.use(known.slam.copied(), known.grid.copied())
-        self._frames.present.slam.relocate(slam.pose, slam.covariance)
+        self._frames.followed.relocate(slam.pose, slam.covariance)
         self._tell("not found")
         return Unplaced(known.step, slam.segments, slam.landmarks, local)
 
@@ -228,7 +229,7 @@ class Recovery:
 
     def _copy(self) -> KnownFrame:
         present = self._frames.present
-        return KnownFrame(self._drive.end, present.slam.copied(), present.grid.copied())
+        return KnownFrame(self._drive.end, self._frames.followed.copied(), present.grid.copied())
 
     def _lose(self, loss: Loss, jump: float) -> None:
         """See to it that a lost robot goes on: in a renewed map, near by, or in a local frame."""
@@ -333,7 +334,7 @@ class Recovery:
         """
         place = lost.search.place
         rays = self._rays_since(lost.first)
-        place.sensor = self._frames.present.slam.range_sensor
+        place.sensor = self._frames.present.slam.sensor
         if lost.is_carried:
             found = lost.search.seek(rays, may_be_bent=False)
         else:  # it has drifted, and is near, where a search of the whole map may miss its place
@@ -394,7 +395,7 @@ class Recovery:
         assert found.fit is not None  # noqa: S101 (a place was found)
         frame = found.fit.pose
         scans = self._drive.since(self.begin)
-        sensor = self._frames.present.slam.range_sensor
+        sensor = self._frames.present.slam.sensor
         placed = placed_until_carried(lost, scans, self.begin, frame, self._frames.robot, sensor)
         pose = placed[-1]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
@@ -412,8 +413,9 @@ class Recovery:
         if is_anew:
             self._offset = self.added_covariance
         slam = frames.slam_at(self._drive[lost.first - 1].pose)
-        if lost.known.slam.odometry_calibrations[0] is not None:
-            slam.calibrate(lost.known.slam.odometry_calibrations[0])
+        calibration = lost.known.slam.odometry_calibrations[0]
+        if is_renewable(slam) and calibration is not None:
+            slam.calibrate(calibration)
         slam.robots[0].step = lost.first - 1
         scans = self._drive.cut(lost.first)
         frames.use(slam, OccupancyGrid(frames.config.grid))
@@ -438,7 +440,7 @@ class Recovery:
         self._frames.frame += present.renewal.has_jumped
         self.move()
         slam = present.slam
-        renewed = KnownPlaces(slam.segments, present.grid.view, slam.range_sensor)
+        renewed = KnownPlaces(slam.segments, present.grid.view, slam.sensor)
         self._tell("renewed", self._revision(first))
         self._return(lost, renewed, has_drifted=True)
         return True
@@ -490,7 +492,7 @@ class Recovery:
 
     def _rays_since(self, first: int) -> FloatArray:
         """The rays (n, 7) of the robot from a step on."""
-        sensor = self._frames.present.slam.range_sensor
+        sensor = self._frames.present.slam.sensor
         return rays_of(self._drive.since(first), self._frames.robot, sensor)
 
     def _rays_of(self, placed: Placed) -> FloatArray:

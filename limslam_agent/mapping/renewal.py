@@ -5,7 +5,7 @@ drives on.
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.motion import unknown_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator, Estimator, is_renewable
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
 from limslam_agent.status.rays import rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
@@ -32,7 +32,7 @@ LEAST_DRIVEN = 1.0
 
 
 def run_of(
-    slam: LineSlam, config: AgentConfig, scans: Sequence[Scan], **known: Any
+    slam: Estimator, config: AgentConfig, scans: Sequence[Scan], **known: Any
 ) -> "FilteredRun":
     """Steps of a robot as the smoother takes them, with what else is ``known`` of the run."""
     # The kernels of the smoother load numba, which takes time that short drives do not need.
@@ -81,9 +81,9 @@ class Renewal:
     """
 
     def __init__(
-        self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid, drive: Drive
+        self, slam: Estimator, config: AgentConfig, grid: OccupancyGrid, drive: Drive
     ) -> None:
-        self._slam = slam
+        self._slam = cast(ConsistentEstimator, slam)  # others are not renewed
         self._config = config
         self._drive = drive
         self.grid = grid
@@ -93,7 +93,7 @@ class Renewal:
         # numbers of those before the stretch
         self._first = self._associations = self._closures = self._first_step = 0
         wanted = config.renewal is not None and config.run_smoothing is not None
-        self.is_possible = wanted and slam.is_renewable
+        self.is_possible = wanted and is_renewable(slam)
 
     @property
     def first(self) -> int:
@@ -186,17 +186,17 @@ class Renewal:
         """The grid from before the stretch, with the readings of the stretch."""
         grid = self._first_grid.copied()
         slam = self._slam
-        ranges = slam.range_sensor.corrected(np.array([scan.ranges for scan in scans]), slam.robot)
+        ranges = slam.sensor.corrected(np.array([scan.ranges for scan in scans]), slam.robot)
         poses = np.array([scan.pose for scan in scans])
         grid.draw(slam.mounted, poses[:, None], ranges[:, None], np.isfinite(ranges)[:, None])
         return grid
 
-    def _fit(self, slam: LineSlam, grid: OccupancyGrid, scans: Sequence[Scan]) -> float:
+    def _fit(self, slam: Estimator, grid: OccupancyGrid, scans: Sequence[Scan]) -> float:
         """How well the latest readings fit a map: by the likelihood ratio of their contradictions.
 
         A stretch that was joined wrongly with the map from before passes through walls of that map.
         """
-        sensor = slam.range_sensor
+        sensor = slam.sensor
         rays = rays_of(scans, slam.robot, sensor)
         return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
 
@@ -219,7 +219,7 @@ class Renewal:
         settings = self._config.run_smoothing
         if self._start is None or settings is None:
             return None
-        if slam.odometry_calibration is not None:
+        if slam.odometry_calibrations[0] is not None:
             settings = replace(settings, calibrate="always")
         stretch = run_of(
             slam,
@@ -228,7 +228,7 @@ class Renewal:
             associations=slam.associations[self._associations :],
             closures=slam.closures[self._closures :],
             first_step=self._first_step,
-            ticks=slam.ticks,
+            ticks=slam.robots[0].ticks[None],
         )
         if np.abs(stretch.wheels[1:]).sum() < 2.0 * LEAST_DRIVEN:
             return None

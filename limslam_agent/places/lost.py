@@ -11,7 +11,7 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import KnownPlaces, PlaceSearch
 from limslam_agent.record import Scan
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator
 from limslam_agent.status.monitor import Loss, covariance_of_lost
 from limslam_agent.status.rays import moved, step_rays, wall_points
 from limslam_agent.status.sudden_changes import change_evidence
@@ -37,7 +37,7 @@ class KnownFrame:
     """
 
     step: int
-    slam: LineSlam
+    slam: ConsistentEstimator
     grid: OccupancyGrid
 
     @property
@@ -56,7 +56,7 @@ class KnownFrame:
     @property
     def places(self) -> KnownPlaces:
         """The map of the frame, to be searched."""
-        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
+        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.sensor)
 
     def explains(self, frame: FloatArray, covariance: FloatArray, rays: FloatArray) -> bool:
         """Whether the covariance of the estimate explains that rays (n, 7) have moved it by a frame
@@ -64,8 +64,6 @@ class KnownFrame:
 
         ``covariance`` (3, 3) is that of the match.
         """
-        if not self.slam.is_renewable:
-            return False
         pose = compose(frame, self.slam.pose)
         return self.slam.map_state.closed(pose, covariance, wall_points(rays)) is not None
 
@@ -225,7 +223,9 @@ class Placement(NamedTuple):
     rays: FloatArray
     has_drifted: bool = False
 
-    def put(self, slam: LineSlam, grid: OccupancyGrid) -> tuple[FloatArray, KnownPlaces | None]:
+    def put(
+        self, slam: ConsistentEstimator, grid: OccupancyGrid
+    ) -> tuple[FloatArray, KnownPlaces | None]:
         """Put the robot at its place in the known frame, and close a loop by it if it has drifted.
 
         Returns
@@ -235,17 +235,13 @@ class Placement(NamedTuple):
             as they were, and None.
         """
         ends = wall_points(self.rays)
-        bent = (
-            slam.close(self.pose, self.covariance, ends)
-            if self.has_drifted and slam.is_renewable
-            else None
-        )
+        bent = slam.close(self.pose, self.covariance, ends) if self.has_drifted else None
         if bent is None:
             slam.relocate(self.pose, self.covariance, ends=ends)
             return self.rays, None
         grid.bend(*bent)
         rays = moved(self.rays, compose(slam.pose, inverse(self.pose)))
-        return rays, KnownPlaces(slam.segments, grid.copied().view, slam.range_sensor)
+        return rays, KnownPlaces(slam.segments, grid.copied().view, slam.sensor)
 
 
 def placed_until_carried(

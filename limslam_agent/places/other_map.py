@@ -22,7 +22,7 @@ from limslam_agent.places.revisions import Event
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.record import Drive
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator
 from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
 from limslam_agent.status.rays import STEPS, ends_of, moved, numbered_rays_of, rays_of
 from limslam_agent.status.status import Status
@@ -117,7 +117,7 @@ class Lookup:
 class OwnMap(NamedTuple):
     """The map and the drive of a robot in its own frame."""
 
-    slam: LineSlam
+    slam: Estimator
     grid: GridView
     drive: Drive
 
@@ -130,9 +130,9 @@ class _MapOfOther(KnownPlaces):
     """
 
     def __init__(self, own: OwnMap, other: OwnMap, robot: RobotSpec) -> None:
-        super().__init__(own.slam.segments, own.grid, own.slam.range_sensor)
+        super().__init__(own.slam.segments, own.grid, own.slam.sensor)
         steps = other.drive.scans[-STEPS:]
-        self.rays, numbers = numbered_rays_of(steps, robot, own.slam.range_sensor)
+        self.rays, numbers = numbered_rays_of(steps, robot, own.slam.sensor)
         # where this robot was then (n, 2), m
         self._met = np.array([scan.pose[:2] for scan in own.drive.scans[-STEPS:]])[numbers]
 

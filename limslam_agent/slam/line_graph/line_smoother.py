@@ -18,8 +18,8 @@ from limslam_agent.slam.least_squares.normal_equations import (
     NormalEquations,
     pose_columns,
 )
-from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
-from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
+from limslam_agent.slam.line_graph.factors import motion_jacobians
+from limslam_agent.slam.line_graph.problem import Expected, Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations

@@ -298,7 +298,7 @@ def test_the_longest_stretch_without_a_loop_is_found():
         (
             replace(SURE, covariance=within(0.4), loose=(3.0, 61.0)),
             (
-                "the chance that the path is more than 0.5 m off is 15% (standard deviation "
+                "the chance that the path is more than 0.5 m off is 15 % (standard deviation "
                 "0.40 m), as no recognised place holds it from 3 to 61 s"
             ),
         ),
