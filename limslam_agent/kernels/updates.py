@@ -283,3 +283,30 @@ def update_by_readings(
     whiten(S, HP, count, size)
     dense = with_zeros(H, begins, len(columns))
     return Update(columns, dense, off, S, HP, moved, change), used, H
+
+
+@entry
+def linear_update(
+    ekf: Filter,
+    columns: IntArray,
+    H: FloatArray,
+    innovation: FloatArray,
+    noise: FloatArray,
+    moved: FloatArray,
+) -> Update:
+    """An update by m measurements with the derivative H (m, k) by some states (k,), an innovation
+    (m,) and the covariance ``noise`` (m, m), for ``correct_state`` to finish.
+
+    ``moved`` is that of the update.
+    """
+    count = len(innovation)
+    rows = dense_rows(ekf, columns)
+    shifted = np.empty(rows.shape)
+    transport_rows(ekf.P, rows, columns, moved, shifted)
+    W = H @ shifted
+    factor = W[:, columns] @ H.T + noise
+    factorise(factor, count)
+    whiten(factor, W, count, W.shape[1])
+    whitened = innovation.copy().reshape(count, 1)
+    whiten(factor, whitened, count, 1)
+    return Update(columns, H, innovation, factor, W, moved, whitened[:, 0].copy() @ W)

@@ -21,7 +21,6 @@ import numpy as np
 from limslam_agent.kernels.covariance import (
     correct_state,
     dense_block,
-    dense_rows,
     mirror,
     move_pose,
 )
@@ -38,6 +37,7 @@ from limslam_agent.kernels.tables import (
     line_at,
     size_of,
 )
+from limslam_agent.kernels.updates import linear_update
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import equality, num_lines
 from limslam_agent.slam.consistent.separate_bias import (
@@ -221,28 +221,27 @@ class CloneEKF:
         odometry = self._errors.odometry
         if odometry is None:
             return
-        (errors, covariance), x, P = odometry.estimate_of(slice(None)), self.x, self.P
+        errors, covariance = odometry.estimate_of(slice(None))
         count = len(errors)
-        size = len(x) + len(errors)
+        size = len(self.x) + count
         first = self._lines_from
         by_errors = self.by_errors[:, :count]
-        of_ranges = self.by_errors[:, count:]
         added = np.arange(first, first + count)
         old = np.r_[:first, first + count : size]
         joint = by_errors @ covariance
-        arrays = self._room_for(size, self.num_lines, len(self.arrays.clones), of_ranges.shape[1])
-        arrays.P[np.ix_(old, old)] = P + joint @ by_errors.T
+        self._errors.odometry = None
+        arrays = self._room_for(size, self.num_lines, len(self.arrays.clones))
+        arrays.P[np.ix_(old, old)] = self.P + joint @ by_errors.T
         arrays.P[np.ix_(old, added)] = joint
         arrays.P[np.ix_(added, old)] = joint.T
         arrays.P[np.ix_(added, added)] = covariance
-        arrays.x[old] = x
-        arrays.by_errors[old] = of_ranges
+        arrays.x[old] = self.x
+        arrays.by_errors[old] = self.by_errors[:, count:]
         change = np.zeros(size)
         change[old] = by_errors @ errors
         change[added] = errors
         arrays.counts[LINES_FROM] += count
         self.arrays = arrays
-        self._errors.odometry = None
         self._correct(change)
 
     def know_calibration(
@@ -269,13 +268,11 @@ class CloneEKF:
             return
         arrays = self.arrays
         column = np.array([self._calibration_part(robot).stop - 1])
-        row = dense_rows(arrays, column)
-        factor = np.sqrt(row[:, column] + variance)
         innovation = drift - arrays.x[column]
-        W = row / factor
-        nothing = np.zeros((row.shape[1], POSE))
-        change = W.T @ (innovation / factor[0])
-        update = Update(column, np.ones((1, 1)), innovation, factor, W, nothing, change)
+        nothing = np.zeros((len(self.x), POSE))
+        update = linear_update(
+            arrays, column, np.ones((1, 1)), innovation, np.full((1, 1), variance), nothing
+        )
         self.corrected(update, correct_state(arrays, update), 0)
 
     def corrected(
@@ -357,9 +354,7 @@ class CloneEKF:
         wanted = self._lines_from + 2 * lines + POSE * clones
         if wanted > len(arrays.x) or lines > len(arrays.anchors) or clones > len(arrays.clones):
             room = wanted + wanted // 8 + 2 * _LINES + POSE * _CLONES
-            self.arrays = self._room_for(
-                room, lines + _LINES, clones + _CLONES, arrays.by_errors.shape[1]
-            )
+            self.arrays = self._room_for(room, lines + _LINES, clones + _CLONES)
             self.arrays.x[:size] = arrays.x[:size]
             self.arrays.P[:size, :size] = arrays.P[:size, :size]
             self.arrays.by_errors[:size] = arrays.by_errors[:size]
@@ -433,7 +428,7 @@ class CloneEKF:
         part = slice(self._poses_end, self._lines_from)
         size = self._lines_from + lines.size
         kept = np.r_[: self._poses_end, self._lines_from : size]
-        arrays = self._room_for(size, len(lines), 0, self.arrays.by_errors.shape[1])
+        arrays = self._room_for(size, len(lines), 0)
         arrays.P[part, part] = self.P[part, part]
         arrays.P[np.ix_(kept, kept)] = covariance
         arrays.x[:] = np.concatenate((poses.ravel(), self.x[part], lines.ravel()))
@@ -498,28 +493,20 @@ class CloneEKF:
         by_turns = self.by_errors[:size, -ranges.count :][:, TURNS]
         return np.asarray(by_turns @ ranges.covariance_of_turns @ by_turns.T)
 
-    def _room_for(self, size: int, lines: int, clones: int, errors: int) -> Filter:
+    def _room_for(self, size: int, lines: int, clones: int) -> Filter:
         """Arrays for a state of a size, all zero, with the anchors, clones and counts of this
         filter.
         """
         old = self.arrays
-        counts = self.arrays.counts.copy()
         anchors = np.zeros((lines, 2))
         numbers = np.zeros(clones, dtype=np.int64)
         known = min(lines, self.num_lines)
         open_clones = min(clones, self.num_clones)
         anchors[:known] = old.anchors[:known]
         numbers[:open_clones] = old.clones[:open_clones]
-        by_errors = np.zeros((size, errors))
-        return Filter(
-            np.zeros(size),
-            np.zeros((size, size)),
-            by_errors,
-            anchors,
-            numbers,
-            counts,
-            self.arrays.bend,
-        )
+        by_errors = np.zeros((size, self._errors.count))
+        P = np.zeros((size, size))
+        return Filter(np.zeros(size), P, by_errors, anchors, numbers, old.counts.copy(), old.bend)
 
     def _correct(self, change: FloatArray) -> None:
         """Add a correction (s,) to the state, and transport the error of P to the new state."""

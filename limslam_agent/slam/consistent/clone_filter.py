@@ -16,7 +16,6 @@ from limslam_agent.kernels.covariance import (
     copy_pose,
     correct_state,
     dense_block,
-    dense_rows,
     error_transport,
     keep_states,
     move_pose,
@@ -33,7 +32,7 @@ from limslam_agent.kernels.tables import (
     line_at,
     size_of,
 )
-from limslam_agent.kernels.updates import update_by_readings
+from limslam_agent.kernels.updates import linear_update, update_by_readings
 from limslam_agent.slam.consistent.limits import (
     EQUALITY_NOISE,
     HUBER,
@@ -226,6 +225,22 @@ def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, Float
     return off, H @ dense_block(ekf.P, columns) @ H.T
 
 
+def equalising(
+    ekf: Filter, older: int, younger: int, start: FloatArray, at_first: FloatArray
+) -> Update:
+    """The update by the constraint that two lines are equal, linearised where the state is now.
+
+    The filter's state was ``start`` (s,), where :func:`error_transport` was ``at_first`` (s, 3).
+    """
+    off, H, columns = equality(ekf, older, younger)
+    so_far = ekf.x[: len(start)] - start
+    moved = error_transport(ekf) - at_first
+    noise = np.diag(np.array(EQUALITY_NOISE))
+    update = linear_update(ekf, columns, H, H @ so_far[columns] - off, noise, moved)
+    update.change[:] -= so_far
+    return update
+
+
 def merge(
     ekf: Filter, older: int, younger: int, listener: Any, iterations: int = ITERATIONS
 ) -> None:
@@ -239,37 +254,11 @@ def merge(
     size = size_of(ekf.counts)
     count = num_lines(ekf)
     start = ekf.x[:size].copy()
-    change = np.zeros(size)
     at_first = error_transport(ekf)
-    pose = ekf.P[:POSE, :size].copy()
-    W = np.zeros((2, size))
-    factor = np.zeros((2, 2))
-    moved = at_first
-    H = factor
-    columns = np.arange(0)
-    innovation = factor[0]
-    for _ in range(iterations):
-        ekf.x[:size] += change
-        moved = error_transport(ekf) - at_first
-        off, H, columns = equality(ekf, older, younger)
-        # The rows of P as a transport of its error by ``moved`` changes them: see
-        # ``correct_state``.
-        rows = dense_rows(ekf, columns) + moved[columns] @ pose
-        HP = H @ (rows + rows[:, :POSE].copy() @ moved.T.copy())
-        so_far = ekf.x[:size] - start
-        innovation = H @ so_far[columns] - off
-        S = HP[:, columns] @ H.T
-        # With S = L L^T and W = L^-1 H P, the correction is W^T L^-1 y.
-        factor[0, 0] = math.sqrt(S[0, 0] + EQUALITY_NOISE[0])
-        factor[1, 0] = S[1, 0] / factor[0, 0]
-        factor[1, 1] = math.sqrt(S[1, 1] + EQUALITY_NOISE[1] - factor[1, 0] ** 2)
-        W[0] = HP[0] / factor[0, 0]
-        W[1] = (HP[1] - factor[1, 0] * W[0]) / factor[1, 1]
-        first = innovation[0] / factor[0, 0]
-        change = (
-            first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
-        )
-    update = Update(columns, H, innovation, factor, W, moved, change)
+    update = equalising(ekf, older, younger, start, at_first)
+    for _ in range(iterations - 1):
+        ekf.x[:size] += update.change
+        update = equalising(ekf, older, younger, start, at_first)
     after = correct_state(ekf, update)
     if listener is not None:
         listener.corrected(update, after, older)

@@ -69,8 +69,11 @@ class SeparateBias:
         straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
         those of each group of walls.
         """
-        rows = self._sums[..., :-1, :][..., part, :]
         chi_squares = self._sums[..., -1, -1]
+        bent = chi_squares[:, :1] - chi_squares
+        rows = self._sums[..., :-1, :][..., part, :]
+        if not rows.shape[-2]:
+            return np.asarray(bent)
         information = rows[..., :-1][..., part]
         score = rows[..., -1:]
         prior = self._prior[part][:, part]
