@@ -30,17 +30,6 @@ class Readings(NamedTuple):
     growth: float = 0.0
     cone: float = 0.0
 
-    def select(self, chosen: IntArray) -> "Readings":
-        return Readings(
-            self.clones[chosen],
-            self.origins[chosen],
-            self.angles[chosen],
-            self.ranges[chosen],
-            self.sources[chosen],
-            self.growth,
-            self.cone,
-        )
-
     @property
     def rows(self) -> FloatArray:
         """The readings (n, 6) as the filter takes them."""
@@ -53,17 +42,6 @@ class Readings(NamedTuple):
         return np.asarray(std**2 + (self.growth * self.ranges**2) ** 2)
 
 
-class Expected(NamedTuple):
-    """Ranges (n,), their derivatives by pose (n, 3) and line (n, 2), and cosines between beam and
-    normal (n,).
-    """
-
-    ranges: FloatArray
-    by_pose: FloatArray
-    by_line: FloatArray
-    cosines: FloatArray
-
-
 def expected_rows(
     poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
 ) -> FloatArray:
@@ -74,13 +52,6 @@ def expected_rows(
     lines = line_table(line[None], anchor[None])
     predict_readings(poses, places, readings.rows, lines, np.zeros_like(places), found)
     return found
-
-
-def expected_ranges(
-    poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
-) -> Expected:
-    rows = expected_rows(poses, readings, line, anchor)
-    return Expected(rows[:, 0], rows[:, 1:4], rows[:, 4:6], rows[:, 6])
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:

@@ -20,7 +20,7 @@ from support.readings import (
     points_of,
 )
 
-from limslam_agent import BatchSlam, LineSlam, preset
+from limslam_agent import LineSlam, preset
 from limslam_agent.config.consistent import ConsistentConfig, ExtentConfig
 from limslam_agent.kernels.extents import (
     Looks,
@@ -295,19 +295,6 @@ def test_a_filter_that_is_too_sure_is_corrected_by_the_only_wall_nearby() -> Non
     refused = [test for test in tests if GATE < test.distance < FAR_GATE]
     assert refused
     assert refused[0].excluded == ""
-
-
-def test_the_batch_is_corrected_alike() -> None:
-    observations, _ = misled(6.0)
-    slam = LineSlam(ROBOT, CONFIG, START)
-    batch = BatchSlam(ROBOT, CONFIG, 1, num_threads=1, size=0)
-    batch.reset(START[None])
-    for seen in observations:
-        slam.step(seen)
-        beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
-        np.testing.assert_allclose(beliefs.pose[0], slam.pose, rtol=0.0, atol=1e-6)
-        np.testing.assert_allclose(beliefs.covariance[0], slam.covariance, rtol=0.0, atol=1e-6)
-    assert batch.num_landmarks[0] == 1
 
 
 def test_a_turn_beyond_the_far_gate_is_not_taken_back() -> None:
