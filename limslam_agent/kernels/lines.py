@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import sort_with, wrapped
+from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.tables import LineRules
 from limslam_env.geometry import FloatArray, IntArray
@@ -83,23 +83,12 @@ def hough_votes(points: FloatArray, rules: LineRules) -> FloatArray:
 @compiled
 def peaks(counts: np.ndarray, wide: int, found: IntArray) -> IntArray:
     """Those bins (k,) of ``found`` that have more votes than their neighbours, best first."""
-    keys = np.empty(len(found))
-    places = np.empty(len(found), dtype=np.int64)
-    size = 0
-    for place in found:
-        votes_here = counts[place]
-        if (
-            votes_here > counts[place - 1]
-            and votes_here >= counts[place + 1]
-            and votes_here > counts[place - wide]
-            and votes_here >= counts[place + wide]
-        ):
-            # Most votes first; of equal votes, the first bin.
-            keys[size] = place - float(votes_here) * 2.0**32
-            places[size] = place
-            size += 1
-    sort_with(keys, places, size)
-    return places[: min(size, MAX_CANDIDATES)]
+    votes = counts[found]
+    is_peak = (votes > counts[found - 1]) & (votes >= counts[found + 1])
+    is_peak &= (votes > counts[found - wide]) & (votes >= counts[found + wide])
+    # Most votes first; of equal votes, the first bin.
+    keys = found[is_peak] - votes[is_peak].astype(np.float64) * 2.0**32
+    return found[is_peak][np.argsort(keys)[:MAX_CANDIDATES]]
 
 
 @entry
@@ -168,8 +157,8 @@ def refined(
         r, theta = fit_line(points, members, ends)
     members = near_line(points, free, r, theta, rules.near_line)
     along = points[members, 1] * math.cos(theta) - points[members, 0] * math.sin(theta)
-    sort_with(along, members, len(members))
-    return members, along
+    order = np.argsort(along, kind="mergesort")
+    return members[order], along[order]
 
 
 @entry

@@ -87,18 +87,14 @@ class ConsistentEstimator(Estimator):
         start_pose: FloatArray | None = None,
         sensor: RangeSensor | None = None,
     ) -> None:
-        super().__init__(robot, config, start_pose)
-        self._begin(sensor)
-
-    def _begin(self, sensor: RangeSensor | None) -> None:
         # Kernels. Who imports this module need not wait for numba.
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
-        robot = self.robot
+        super().__init__(robot, config, start_pose)
         robots = len(self.robots)
-        config = cast(ConsistentConfig, self.config.estimator)
-        calibration = config.self_calibration
-        errors = config.range_errors
+        own = self._own
+        calibration = own.self_calibration
+        errors = own.range_errors
         stds = (
             errors.stds(len(robot.beams) if robots == 1 else 0, robot.control_period)
             if errors.enabled
@@ -109,15 +105,15 @@ class ConsistentEstimator(Estimator):
         if calibration.calibrate == "always":
             self.filter.calibrate()
         self._with_heading: set[int] = set()  # robots whose calibration is one of headings
-        self._contacts = [Contacts(robot, self.config.range_std) for _ in self.robots]
-        pending = config.pending
-        self._sides = sides_of(robot, config.pending.beams)
+        self._contacts = [Contacts(robot, config.range_std) for _ in self.robots]
+        pending = own.pending
+        self._sides = sides_of(robot, pending.beams)
         widest = int(np.bincount(self._sides + 1, minlength=2)[1:].max())
         room = widest * most_clones(pending.batch, pending.max_clones, robots)
         self._pending = pending_of(robots, room)
         self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
         self._assume(sensor or self._specified)
-        self._map: WallMap = WallMap(self.filter, config.extents)
+        self._map: WallMap = WallMap(self.filter, own.extents)
 
     def step(self, *observations: Observation) -> None:
         """Predict, collect the readings of beams that have hit no teammate, and process each side
@@ -132,15 +128,13 @@ class ConsistentEstimator(Estimator):
             self._measure(number, front)
 
     @property
+    def _own(self) -> ConsistentConfig:
+        return cast(ConsistentConfig, self.config.estimator)
+
+    @property
     def walls(self) -> Walls:
         """The landmarks without their lines, in arrays."""
         return self._map.arrays
-
-    def count_residuals(self, residuals: FloatArray, ranges: FloatArray) -> None:
-        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its
-        ranges (n,), m.
-        """
-        self._sensor.count(residuals, ranges)
 
     @property
     def association_limits(self) -> dict[str, float]:
@@ -249,7 +243,7 @@ class ConsistentEstimator(Estimator):
         self.filter.restart(state.pose, state.lines, state.anchors, state.covariance)
         new = self._map.replace(state.walls)
         known_as = [wall.known_as for wall in state.walls if wall.number == NEW]
-        reports = StepReports(self, 0, self.robots[0].step)
+        reports = self._reports(0)
         self._merge_recognised(new, known_as, reports)
         for number in new:
             places = np.flatnonzero(self._map.numbers == number)
@@ -321,7 +315,7 @@ class ConsistentEstimator(Estimator):
         if number not in self._with_heading:
             self._with_heading.add(number)
             self.filter.calibrate()
-            prior = cast(ConsistentConfig, self.config.estimator).self_calibration
+            prior = self._own.self_calibration
             self.filter.know_calibration(np.zeros(3), prior.heading_covariance, number)
         if turn.drift is not None:
             self.filter.observe_drift(turn.drift, turn.drift_variance, number)
@@ -339,7 +333,7 @@ class ConsistentEstimator(Estimator):
         self._make_room()
         jitter = self.filter.jitters[number]
         scan = Scan(front.step, front.ranges, front.measured, front.hits, jitter)
-        measure(self._belief, number, scan, self._setup, StepReports(self, number, front.step))
+        measure(self._belief, number, scan, self._setup, self._reports(number))
         if (self.filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
             self.calibrate()
             self._assume(self.sensor._replace(bend=0.0))  # it may have been due to the wheels
@@ -349,8 +343,8 @@ class ConsistentEstimator(Estimator):
         """Use all pending readings."""
         from limslam_agent.slam.consistent.step import use_side
 
-        for number, front in enumerate(self.robots):
-            reports = StepReports(self, number, front.step)
+        for number in range(len(self.robots)):
+            reports = self._reports(number)
             for side in range(len(SIDES)):
                 self._make_room()
                 use_side(self._belief, number, side, True, self._setup, reports)  # noqa: FBT003
@@ -374,14 +368,17 @@ class ConsistentEstimator(Estimator):
         self._sensor.assume(sensor)
         self.filter.arrays = self.filter.arrays._replace(bend=sensor.bend)
         self.filter.has_turned_beams = bool(sensor.turns)
-        config = cast(ConsistentConfig, self.config.estimator)
-        self.settings = step_settings(config, sensor, self._sensor.usual_std)
+        self.settings = step_settings(self._own, sensor, self._sensor.usual_std)
         table = sensor.mounted(self.robot).beam_table
         self._setup = Setup(self.settings, table, self._sides)
 
     @property
     def _belief(self) -> Belief:
         return Belief(self.filter.arrays, self._map.arrays, self._pending)
+
+    def _reports(self, number: int) -> StepReports:
+        step = self.robots[number].step
+        return StepReports(self, self._sensor, self._map, number, step)
 
     def _make_room(self) -> None:
         """Make room for another clone, and for all lines that the readings may show."""
@@ -459,7 +456,7 @@ class ConsistentEstimator(Estimator):
         if found is None:
             return None
         wheels = np.array([1.0, 0.0, 0.0] if self._with_heading else [0.5, 0.5, 0.0])
-        prior = cast(ConsistentConfig, self.config.estimator).self_calibration.size_std
+        prior = self._own.self_calibration.size_std
         return self._sensor.scaled(
             self.filter.range_errors,
             float(wheels @ found[0]),

@@ -80,6 +80,25 @@ class Scan(NamedTuple):
     jitter: FloatArray
 
 
+class Piece(NamedTuple):
+    """Readings of one straight piece of wall.
+
+    Attributes
+    ----------
+    readings, points
+        The readings, and their end points (n, 2), m, where the clones are estimated to be.
+    segment
+        The fitted piece (5,), whose columns ``kernels.tables`` names.
+    is_complete
+        Whether no more readings of it will come.
+    """
+
+    readings: Readings
+    points: FloatArray
+    segment: FloatArray
+    is_complete: bool
+
+
 class Belief(NamedTuple):
     """All that is estimated: the lines of the landmarks, in a filter, where along them there is
     wall, and readings that still wait for a landmark.

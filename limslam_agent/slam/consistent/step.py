@@ -7,7 +7,7 @@ listener is told is left out of compiled code, where the listener is None.
 """
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,6 @@ from limslam_agent.kernels.tables import (
     POSE,
     THETA,
     LineRules,
-    Readings,
     select,
 )
 from limslam_agent.kernels.updates import compare_readings
@@ -54,6 +53,7 @@ from limslam_agent.slam.consistent.pending_readings import (
     SIDES,
     WAITING,
     Belief,
+    Piece,
     Scan,
     Setup,
     collect,
@@ -75,25 +75,6 @@ WAIT = -2
 """What :func:`associate` says of a piece of no known wall: it becomes a landmark, or waits for
 further readings.
 """
-
-
-class Piece(NamedTuple):
-    """Readings of one straight piece of wall.
-
-    Attributes
-    ----------
-    readings, points
-        The readings, and their end points (n, 2), m, where the clones are estimated to be.
-    segment
-        The fitted piece (5,), whose columns ``kernels.tables`` names.
-    is_complete
-        Whether no more readings of it will come.
-    """
-
-    readings: Readings
-    points: FloatArray
-    segment: FloatArray
-    is_complete: bool
 
 
 def measure(
