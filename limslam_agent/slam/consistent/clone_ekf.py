@@ -354,10 +354,10 @@ class CloneEKF:
         wanted = self._lines_from + 2 * lines + POSE * clones
         if wanted > len(arrays.x) or lines > len(arrays.anchors) or clones > len(arrays.clones):
             room = wanted + wanted // 8 + 2 * _LINES + POSE * _CLONES
-            self.arrays = self._room_for(room, lines + _LINES, clones + _CLONES)
-            self.arrays.x[:size] = arrays.x[:size]
-            self.arrays.P[:size, :size] = arrays.P[:size, :size]
-            self.arrays.by_errors[:size] = arrays.by_errors[:size]
+            self.arrays = new = self._room_for(room, lines + _LINES, clones + _CLONES)
+            new.x[:size] = arrays.x[:size]
+            new.P[:size, :size] = arrays.P[:size, :size]
+            new.by_errors[:size] = arrays.by_errors[:size]
 
     def clone(self, robot: int = 0) -> int:
         """Add the pose at which a robot's present readings were taken to the state, and return its
@@ -491,7 +491,7 @@ class CloneEKF:
         if ranges is None:
             return np.zeros((size, size))
         by_turns = self.by_errors[:size, -ranges.count :][:, TURNS]
-        return np.asarray(by_turns @ ranges.covariance_of_turns @ by_turns.T)
+        return np.asarray(by_turns @ ranges.turns[1] @ by_turns.T)
 
     def _room_for(self, size: int, lines: int, clones: int) -> Filter:
         """Arrays for a state of a size, all zero, with the anchors, clones and counts of this

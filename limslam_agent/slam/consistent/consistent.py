@@ -194,11 +194,13 @@ class ConsistentEstimator(Estimator):
         """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad;
         None if no beam is.
         """
-        turns = self.sensor.turns
-        errors = self.filter.range_errors
-        if not turns or errors is None or not len(errors.turns):
+        assumed = self.sensor.turns
+        if not assumed or self.filter.range_errors is None:
             return None
-        return np.asarray(errors.turns + np.column_stack((turns, np.zeros(len(turns)))))
+        turns, covariance = self.filter.range_errors.turns
+        if not len(turns):
+            return None
+        return np.column_stack((turns + assumed, np.sqrt(covariance.diagonal())))
 
     @property
     def covariances(self) -> FloatArray:

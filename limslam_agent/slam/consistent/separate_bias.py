@@ -183,28 +183,16 @@ class RangeErrors(SeparateBias):
         return self.evidence_of(COMMON, LENGTHS)
 
     @property
-    def turns(self) -> FloatArray:
-        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that
-        is not estimated.
+    def turns(self) -> tuple[FloatArray, FloatArray]:
+        """By what each beam is turned (n_beams,), rad, and the covariance (n_beams, n_beams) of
+        that; empty if that is not estimated.
 
         It is known by all readings, also by those from before a correction, and other errors are
         unknown beside it.
         """
-        errors, covariance = self._estimate_of_all
-        return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
-
-    @property
-    def covariance_of_turns(self) -> FloatArray:
-        """What remains unknown of the directions of the beams (n_beams, n_beams), rad^2."""
-        return self._estimate_of_all[1][TURNS, TURNS]
-
-    @property
-    def _estimate_of_all(self) -> tuple[FloatArray, FloatArray]:
-        """The errors (k,) and their covariance (k, k) by all readings, also by those from before a
-        correction.
-        """
         sums = (self._earlier + self._sums[0, 0])[:-1]
-        return _estimated(self._prior, sums[:, :-1], sums[:, -1])
+        errors, covariance = _estimated(self._prior, sums[:, :-1], sums[:, -1])
+        return errors[TURNS], covariance[TURNS, TURNS]
 
     @property
     def turn_gain(self) -> float:
