@@ -36,8 +36,6 @@ STANDING = 1e-6
 """Smaller motions between two events, m and rad, are rounding errors."""
 ERRORS = 5
 """Number of constant errors of odometry that are estimated."""
-ANOTHER_VISIT = 13.5
-"""After this distance driven, m, what is seen again is another visit of its place."""
 APART = 1000.0
 """Distance driven, m, that is taken to lie between two logs that are solved as one, and at a break
 of odometry in a log.

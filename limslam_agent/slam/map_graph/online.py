@@ -35,9 +35,9 @@ from limslam_agent.slam.map_graph.window import (
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
 
-_WINDOW = 15.0
-"""Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a
-chunk over 7 m.
+_WINDOW = 6
+"""Distance driven that is smoothed, in hops between chunks: 15 m, since the walls of the local
+smoothing reach over 10 m, and a chunk over 7 m.
 """
 
 _REVISED = 2
@@ -207,7 +207,7 @@ class OnlineGraph:
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
             recent.forget_before(
-                min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0])
+                min(recent.at(recent.travel - (_WINDOW - 1) * maps.hop), self._middles[0])
             )
 
     def _begin_anew(self) -> None:
@@ -298,7 +298,7 @@ class OnlineGraph:
             self._first_covariance = moved_covariance(
                 self._start, np.zeros((3, 3)), motions[-1], own
             )
-            self.places = ChunkGraph(chunk, compose(self._start, motions[-1]))
+            self.places = ChunkGraph(chunk, compose(self._start, motions[-1]), config.maps)
             self._middles = []
         else:
             self.places.add(chunk, motions, own)

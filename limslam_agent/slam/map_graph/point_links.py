@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.slam.map_graph.key_poses import (
-    ANOTHER_VISIT,
     KeyPoses,
     Trajectory,
     points_in_keys,
@@ -90,9 +89,9 @@ def links_along(cloud: PointCloud) -> IntArray:
     return _links(cloud, _RADIUS, _BANDS, _MAX_OFFSET * _RADIUS)
 
 
-def links_across(cloud: PointCloud, radius: float) -> IntArray:
-    """Links (l, 2) to the nearest point of another visit."""
-    return _links(cloud, radius, (ANOTHER_VISIT, np.inf), radius)
+def links_across(cloud: PointCloud, radius: float, another_visit: float) -> IntArray:
+    """Links (l, 2) to the nearest point of another visit, after so much driving, m."""
+    return _links(cloud, radius, (another_visit, np.inf), radius)
 
 
 def _links(

@@ -156,7 +156,8 @@ def _graph(
     graph.add_robust(point_link(poses, cloud, links_along(cloud), link_factor * link_std), robust)
     if radius:
         std = max(1.0, radius / _LAST_RADIUS) * link_factor * link_std
-        graph.add_robust(point_link(poses, cloud, links_across(cloud, radius), std), robust)
+        links = links_across(cloud, radius, config.maps.another_visit)
+        graph.add_robust(point_link(poses, cloud, links, std), robust)
     if walls:
         on_walls = point_on_wall(poses, cloud, walls, wall_factor * wall_std)
         graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))

@@ -172,9 +172,12 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     covariances = inflated(motion_covariances(graph, problem.local.poses, middles))
     hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
     found = search_loops(
-        cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops
+        cut_chunks(keys, trajectory, config.maps, middles, data.max_range),
+        poses[0],
+        hops,
+        config.maps,
     )
-    good = supported(found, poses, keys.key_travel[middles])
+    good = supported(found, poses, keys.key_travel[middles], config.maps.hop)
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
     solved, weights = solve_annealed(poses[0], hops, loops)
