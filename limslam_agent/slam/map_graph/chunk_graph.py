@@ -65,7 +65,7 @@ _BEST = 3  # loops from one chunk
 _BACKWARD_WINDOW = Window(0.3, math.radians(4.0))
 
 
-# number of chunks in which the newest one is searched, and of search grids that are kept, 0.2 MB each
+# chunks in which the newest one is searched, and search grids that are kept, 0.2 MB each
 _MOST_SEARCHED = 150
 
 NO_SUPPORT = "no other loop nearby agrees"
@@ -277,9 +277,8 @@ class ChunkGraph:
         for row in np.flatnonzero(near):
             window = Window(float(shifts[row]), float(turns[row]))
             first = int(old[row])
-            matches.append(
-                (match(self._grid(first), points, guesses[row], window, SCORES[0]), first)
-            )
+            best = match(self._grid(first), points, guesses[row], window, SCORES[0])
+            matches.append((best, first))
         matches.sort(key=lambda each: -each[0].score)
         loops = [self._loop(first, newest, best) for best, first in matches[:_BEST]]
         return [loop for loop in loops if loop is not None]
