@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
@@ -55,17 +54,11 @@ class SearchGrid(NamedTuple):
     cell: float  # side of a cell, m
     margin: int  # largest shift that can be searched, cells
 
-    def indices(self, places: FloatArray, edge: int = 0) -> tuple[IntArray, IntArray]:
-        """Rows and columns (...) of the cells at places (..., 2), m, moved to at least ``edge``
-        cells from the border.
-        """
-        cells = np.floor((places - self.low) / self.cell).astype(np.int64)
-        cells = np.clip(cells, edge, len(self.cells) - 1 - edge)
-        return cells[..., 0], cells[..., 1]
-
     def at(self, places: FloatArray) -> Cells:
         """The cells (...) at places (..., 2), m. Nothing is known outside of the grid."""
-        return self.cells[self.indices(places)]
+        indices = np.floor((places - self.low) / self.cell).astype(np.int64)
+        indices = np.clip(indices, 0, len(self.cells) - 1)
+        return self.cells[indices[..., 0], indices[..., 1]]
 
 
 class Window(NamedTuple):
@@ -162,13 +155,12 @@ def match_covariance(
 
 def _scores_around(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> FloatArray:
     """Scores (turns, cells along x, cells along y) of all poses around a pose."""
-    patches = sliding_window_view(grid.cells, (2 * _AROUND_CELLS + 1,) * 2)
-    sums = []
-    for turn in range(-_AROUND_TURNS, _AROUND_TURNS + 1):
-        places = se2.transform_points(pose + np.array([0.0, 0.0, turn * TURN_STEP]), points)
-        rows, columns = grid.indices(places, _AROUND_CELLS)
-        sums.append(patches[rows - _AROUND_CELLS, columns - _AROUND_CELLS].sum(axis=0))
-    return np.array(sums) / (HIT * len(points))
+    size = 2 * _AROUND_CELLS + 1
+    turns = range(-_AROUND_TURNS, _AROUND_TURNS + 1)
+    sums = np.zeros((len(turns), size, size), dtype=np.int16)
+    for turn, own in zip(turns, sums, strict=True):
+        _add_cells(grid, points, pose + np.array([0.0, 0.0, turn * TURN_STEP]), own)
+    return np.asarray(sums / (HIT * len(points)))
 
 
 def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatArray) -> FloatArray:
@@ -219,6 +211,19 @@ def _find_cells(
         y = sin * points[k, 0] + cos * points[k, 1] + pose[1] - grid.low
         out[k, 0] = min(max(int(np.floor(x / grid.cell)) - margin, 0), last)
         out[k, 1] = min(max(int(np.floor(y / grid.cell)) - margin, 0), last)
+
+
+@kernel
+def _add_cells(
+    grid: SearchGrid, points: FloatArray, pose: FloatArray, sums: NDArray[np.int16]
+) -> None:
+    """Add the cells at points at a pose to sums (2 m + 1, 2 m + 1), for all shifts by up to m
+    cells.
+    """
+    cells = np.empty((len(points), 2), np.int64)
+    _find_cells(grid, points, pose, len(sums) // 2, cells)
+    for i, j in cells:
+        _add_rows(sums, grid.cells, i, j)
 
 
 @kernel
