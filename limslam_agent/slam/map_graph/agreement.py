@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.map_graph.chunk_graph import Loop
 from limslam_agent.slam.map_graph.key_poses import APART, KEY_DISTANCE, KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
@@ -92,22 +91,16 @@ class VisitCounts:
         return self.middles[contradicted > confirmed]
 
 
-def visit_counts(
-    keys: KeyPoses,
-    trajectory: Trajectory,
-    config: GraphConfig,
-    max_range: float,
-    seam: int | None = None,
-) -> VisitCounts:
+def visit_counts(keys: KeyPoses, trajectory: Trajectory, seam: int | None = None) -> VisitCounts:
     """How many points of each chunk other visits confirm and contradict.
 
     At a confirmed point at least as many other visits have seen a wall as free space, at a
     contradicted one fewer. If a second log begins at the key pose ``seam``, only visits of the
     other log count.
     """
-    maps = config.maps
-    middles = chunk_middles(keys, maps, maps.half)
-    chunks = cut_chunks(keys, trajectory, maps, middles, max_range)
+    maps = keys.config.maps
+    middles = chunk_middles(keys, maps.half)
+    chunks = cut_chunks(keys, trajectory, middles)
     poses = trajectory.poses[middles]
     numbers = np.array([len(each.points) for each in chunks])
     owner = np.repeat(np.arange(len(chunks)), numbers)

@@ -21,7 +21,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     KEY_DISTANCE,
     KEY_TURN,
     LogData,
-    calibrated_motion,
+    calibrated,
     motion_variances,
 )
 from limslam_agent.slam.map_graph.local_maps import cut_chunks
@@ -150,7 +150,7 @@ class OnlineGraph:
         turned = self._recent.turned
         recent.append(time, odometry, ranges, hit, break_stds)
         self.job_ms = 0.0
-        motion = calibrated_motion(recent.last_motion, self._anchor.errors)
+        motion = calibrated(recent.last_motion[None], self._anchor.errors)[0]
         self._ridden = compose(self._ridden, motion)
         if break_stds is None:
             moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
@@ -279,9 +279,7 @@ class OnlineGraph:
         recent = self._recent
         config = self._config
         event = recent.first + int(frame.keys.first_event[key])
-        (chunk,) = cut_chunks(
-            frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range
-        )
+        (chunk,) = cut_chunks(frame.keys, frame.trajectory, np.array([key]))
         chunk = replace(chunk, travel=recent.travel_at(event))
         pose = frame.trajectory.poses[key]
         before = np.array(self._middles) - recent.first

@@ -57,7 +57,7 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     beams reach less far than what is compared, or one in which nearly no stretch contradicts that
     it was driven ahead.
     """
-    if data.max_range < _AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
+    if data.max_range < _AFTER or -data.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
     views = _LocalViews(data, config)
     stretches = _stretches(data, views.driven)
@@ -121,12 +121,10 @@ class _LocalViews:
     def __init__(self, data: LogData, config: GraphConfig) -> None:
         self._data = data
         self._maps = config.maps
-        self.moves = moves_of(data)
+        self.moves = data.moves.copy()
         lengths = np.hypot(self.moves[:, 0], self.moves[:, 1])
         self.driven = np.append(0.0, np.cumsum(lengths))
         self.travel = np.append(0.0, np.cumsum(lengths + data.apart[1:]))
-        rays = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
-        self._points = data.origins + data.ranges[..., None] * rays
 
     def known(self, event: int) -> SearchGrid | None:
         """What was seen in the last metres before an event, in the frame of its pose. None if that
@@ -163,7 +161,7 @@ class _LocalViews:
     def _seen(self, events: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points and origins of their beams, (p, 2) each, at events (k,) with poses (k, 3)."""
         row, beam = np.nonzero(self._data.hit[events])
-        places = to_world(poses[row], self._points[events[row], beam])
+        places = to_world(poses[row], self._data.points[events[row], beam])
         return places, to_world(poses[row], self._data.origins[beam])
 
 
@@ -180,7 +178,7 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     """Distance that is driven backwards in the second log and not in the first one, m, and the
     number of stretches.
     """
-    before, after = (moves_of(each)[:, 0] for each in (data, directed))
+    before, after = (each.moves[:, 0] for each in (data, directed))
     moved = np.abs(before) > STANDING
     before = before[moved]
     after = after[moved]
@@ -233,8 +231,3 @@ def _speeds(time: FloatArray, travel: FloatArray) -> FloatArray:
     half = 0.5 * np.maximum(np.diff(time), _LEAST_PERIOD)
     ends = np.interp(middles + half, time, travel)
     return np.asarray((ends - np.interp(middles - half, time, travel)) / (2.0 * half))
-
-
-def moves_of(data: LogData) -> FloatArray:
-    """Motions (n - 1, 3) of odometry from event to event."""
-    return se2.between(data.odometry[:-1], data.odometry[1:])

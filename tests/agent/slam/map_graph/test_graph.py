@@ -66,7 +66,7 @@ def wandering(count=200, beams=3):
 
 
 def keys_of(log):
-    return choose_keys(log, PointConfig())
+    return choose_keys(log, GraphConfig())
 
 
 def test_two_corrections_after_each_other_are_one():
@@ -105,11 +105,11 @@ def test_points_are_the_same_whichever_row_has_the_motion(earlier):
     log = wandering()
     plain = keys_of(log)
     split = keys_of(with_odometry_rows(log, earlier))
-    assert len(plain.in_robot) > 400
-    np.testing.assert_array_equal(plain.in_robot, split.in_robot)
+    assert len(plain.point_event) > 400
+    np.testing.assert_array_equal(plain.point_event, split.point_event // 2)
     np.testing.assert_array_equal(plain.point_key, split.point_key)
-    np.testing.assert_allclose(plain.step, split.step, atol=1e-12)
-    np.testing.assert_allclose(plain.point_travel, split.point_travel, atol=1e-12)
+    np.testing.assert_allclose(plain.steps.reported, split.steps.reported, atol=1e-12)
+    np.testing.assert_allclose(plain.travel, split.travel[1::2], atol=1e-12)
     np.testing.assert_allclose(plain.share, split.share[1::2], atol=1e-9)
     delays = [delayed(each, 0.15).odometry for each in (log, with_odometry_rows(log, earlier))]
     np.testing.assert_allclose(delays[0][5:-5], delays[1][1::2][5:-5], atol=0.01)
@@ -120,10 +120,10 @@ def test_each_beam_gives_a_point_after_its_own_way():
     log = wandering()
     turns = np.arange(len(log.time))[:, None] % log.hit.shape[1] == np.arange(log.hit.shape[1])
     keys = keys_of(replace(log, ranges=np.full_like(log.ranges, 1.0), hit=turns))
-    assert len(keys.in_robot) == len(log.time)
+    assert len(keys.point_event) == len(log.time)
     slow = replace(log, odometry=log.odometry * [0.2, 0.2, 0.0], hit=np.ones_like(log.hit))
-    points = choose_keys(slow, PointConfig(points_per_metre=1000.0))
-    per_beam = len(points.in_robot) / log.hit.shape[1]
+    points = choose_keys(slow, GraphConfig(keys=PointConfig(points_per_metre=1000.0)))
+    per_beam = len(points.point_event) / log.hit.shape[1]
     driven = points.driven
     assert 0.6 * driven / 0.015 < per_beam <= driven / 0.015 + 1
 
@@ -304,8 +304,8 @@ def test_walls_of_a_window_are_found_with_their_points():
 
 def test_visits_are_linked_to_the_nearest_point_of_another_visit():
     log, truth = corridor_log(laps=2)
-    keys = choose_keys(log, CONFIG.keys)
-    cloud = point_cloud(keys, Trajectory(truth[keys.first_event], np.zeros(ERRORS)), 0.01)
+    keys = choose_keys(log, CONFIG)
+    cloud = point_cloud(keys, Trajectory(truth[keys.first_event], np.zeros(ERRORS)))
     links = links_across(cloud, 0.3, 13.5)
     assert len(links) > 0.3 * len(cloud.travel)
     point = links[len(links) // 2, 0]
