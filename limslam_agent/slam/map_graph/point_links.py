@@ -223,7 +223,9 @@ def _nearest(index: _Index, cloud: PointCloud, borders: FloatArray, limits: Floa
     near = np.empty(len(cloud.places), np.int64)
     best = np.empty(bands, np.int64)
     nearest = np.empty(bands)
-    for i in np.nonzero(cloud.good)[0]:
+    for i in range(len(cloud.places)):
+        if not cloud.good[i]:
+            continue
         best[:] = -1
         nearest[:] = index.side**2
         for j in near[: _around(index, i, reach, near)]:
