@@ -18,7 +18,7 @@ Readings come as ``places`` (n,), the numbers of the poses from which they were 
 ``readings`` (n, 6): the beam's origin x, y in the robot's frame (m), its direction (rad), its range
 (m), half its opening angle (rad), and the number of the beam. The poses of a filter begin in its
 state ``x`` at the index ``start``. What is predicted for a reading is a row (7,): range (m),
-derivatives by pose (3) and by line (2), and the cosine between the ray that measures and the
+derivatives by pose (3) and by line (2), and the cosine between the middle of the beam and the
 normal. The derivative by theta, over that by d, is how far from the anchor's foot the ray meets the
 line, m against the line's direction.
 """
@@ -75,45 +75,35 @@ def line_in(lines: FloatArray, number: int) -> Line:
 
 
 @compiled
-def measuring_ray(
-    towards: tuple[float, float], normal: tuple[float, float], cone: float
-) -> tuple[float, float]:
-    """Direction of the ray that measures a line with this normal as a beam with half an opening
-    angle does.
-
-    A beam that grazes the line is a ray.
-    """
-    ux, uy = towards
-    nx, ny = normal
-    cosine = nx * ux + ny * uy
-    if cone == 0.0 or abs(cosine) <= GRAZING:
-        return towards
-    side = math.copysign(1.0, cosine)
-    sine = side * (ux * ny - uy * nx)
-    if abs(sine) <= math.sin(cone):
-        return side * nx, side * ny
-    turned = math.copysign(math.sin(cone), sine)
-    return math.cos(cone) * ux - turned * uy, math.cos(cone) * uy + turned * ux
-
-
-@compiled
-def ray_from(
-    pose: tuple[float, float, float], reading: FloatArray, normal: tuple[float, float]
-) -> Ray:
-    """The ray that measures a line with this normal as a reading's beam does from a pose, m, m,
-    rad.
-    """
+def ray_of(pose: tuple[float, float, float], reading: FloatArray) -> Ray:
+    """The middle of a reading's beam from a pose, m, m, rad."""
     x, y, heading = pose
     cos = math.cos(heading)
     sin = math.sin(heading)
     angle = heading + reading[2]
-    to_x, to_y = measuring_ray((math.cos(angle), math.sin(angle)), normal, reading[4])
     return Ray(
         x + (cos * reading[0] - sin * reading[1]),
         y + (sin * reading[0] + cos * reading[1]),
-        to_x,
-        to_y,
+        math.cos(angle),
+        math.sin(angle),
     )
+
+
+@compiled
+def measuring_ray(middle: Ray, normal: tuple[float, float], cone: float) -> Ray:
+    """The ray that measures a line with this normal as a beam with half an opening angle does."""
+    if cone == 0.0:
+        return middle
+    ux = middle.to_x
+    uy = middle.to_y
+    nx, ny = normal
+    side = math.copysign(1.0, nx * ux + ny * uy)
+    sine = side * (ux * ny - uy * nx)
+    if abs(sine) <= math.sin(cone):
+        return Ray(middle.x, middle.y, side * nx, side * ny)
+    cos = math.cos(cone)
+    sin = math.copysign(math.sin(cone), sine)
+    return Ray(middle.x, middle.y, cos * ux - sin * uy, cos * uy + sin * ux)
 
 
 @compiled
@@ -121,11 +111,9 @@ def read_share(cosine: float, cone: float) -> float:
     """The share of its distance that a wall reads, given the cosine between the middle of the beam
     and the wall's normal.
     """
-    if cone == 0.0 or abs(cosine) <= GRAZING:
-        return 1.0
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    measured, _ = measuring_ray((cosine, sine), (1.0, 0.0), cone)
-    return cosine / measured
+    measured = measuring_ray(Ray(0.0, 0.0, cosine, sine), (1.0, 0.0), cone)
+    return cosine / measured.to_x
 
 
 @compiled
@@ -160,7 +148,8 @@ def predict_range(
     """Set a row (7,) to what is predicted for a reading of a line from a pose, m, m, rad."""
     nx = line.normal_x
     ny = line.normal_y
-    ray = ray_from(pose, reading, (nx, ny))
+    middle = ray_of(pose, reading)
+    ray = measuring_ray(middle, (nx, ny), reading[4])
     distance, along, cosine = meeting(ray, line)
     turning = (
         (pose[1] - ray.y) * nx
@@ -173,7 +162,7 @@ def predict_range(
     out[3] = -turning / cosine
     out[4] = 1.0 / cosine
     out[5] = -along / cosine
-    out[6] = cosine
+    out[6] = nx * middle.to_x + ny * middle.to_y
 
 
 @compiled
@@ -226,10 +215,11 @@ def ends_of_beams(
     of beams if NaN.
     """
     points = np.empty((len(places), 2))
-    # No beam is turned towards a normal of length zero.
-    normal = (0.0, 0.0) if math.isnan(theta) else (math.cos(theta), math.sin(theta))
+    normal = (math.cos(theta), math.sin(theta))
     for i in range(len(places)):
         at = start + POSE * places[i]
-        ray = ray_from((x[at], x[at + 1], x[at + 2]), readings[i], normal)
+        ray = ray_of((x[at], x[at + 1], x[at + 2]), readings[i])
+        if not math.isnan(theta):
+            ray = measuring_ray(ray, normal, readings[i, 4])
         points[i] = end_of_ray(ray, readings[i, 3])
     return points
