@@ -207,19 +207,30 @@ def end_of_ray(ray: Ray, length: float) -> tuple[float, float]:
     return ray.x + length * ray.to_x, ray.y + length * ray.to_y
 
 
+@compiled
+def end_on_wall(
+    pose: tuple[float, float, float], reading: FloatArray, normal: tuple[float, float], reach: float
+) -> tuple[float, float]:
+    """Where a reading from a pose, m, m, rad, ends on a wall with this normal at a range, m; on the
+    middle of its beam if that grazes the wall.
+    """
+    ray = ray_of(pose, reading)
+    if abs(normal[0] * ray.to_x + normal[1] * ray.to_y) > GRAZING:
+        ray = measuring_ray(ray, normal, reading[4])
+    return end_of_ray(ray, reach)
+
+
 @entry
 def ends_of_beams(
     x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float
 ) -> FloatArray:
-    """End points (n, 2), m, of readings on a line with its normal at ``theta``, rad; of the middle
+    """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; of the middle
     of beams if NaN.
     """
     points = np.empty((len(places), 2))
+    # No beam is turned towards a normal that is no number.
     normal = (math.cos(theta), math.sin(theta))
     for i in range(len(places)):
         at = start + POSE * places[i]
-        ray = ray_of((x[at], x[at + 1], x[at + 2]), readings[i])
-        if not math.isnan(theta):
-            ray = measuring_ray(ray, normal, readings[i, 4])
-        points[i] = end_of_ray(ray, readings[i, 3])
+        points[i] = end_on_wall((x[at], x[at + 1], x[at + 2]), readings[i], normal, readings[i, 3])
     return points

@@ -21,11 +21,8 @@ from limslam_agent.kernels.algebra import (
     whiten,
 )
 from limslam_agent.kernels.beams import (
-    end_of_ray,
     line_about,
-    measuring_ray,
     predict_ranges,
-    ray_of,
 )
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import dense_block
@@ -167,9 +164,7 @@ def place_along(
         if done < len(clear) and clear[done] == i:
             reach = expected[done, 0]
             done = done + 1
-        middle = ray_of((x[at], x[at + 1], x[at + 2]), readings[read])
-        ray = measuring_ray(middle, (cos, sin), readings[read, 4])
-        hit_x, hit_y = end_of_ray(ray, reach)
+        hit_x, hit_y = end_on_wall((x[at], x[at + 1], x[at + 2]), readings[read], (cos, sin), reach)
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
 
 
