@@ -20,10 +20,7 @@ from limslam_agent.kernels.algebra import (
     sort_with,
     whiten,
 )
-from limslam_agent.kernels.beams import (
-    line_about,
-    predict_ranges,
-)
+from limslam_agent.kernels.beams import end_on_wall, line_about, predict_ranges
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import dense_block
 from limslam_agent.kernels.lines import fit_line
