@@ -107,6 +107,15 @@ def measuring_ray(middle: Ray, normal: tuple[float, float], cone: float) -> Ray:
 
 
 @compiled
+def wall_ray(middle: Ray, normal: tuple[float, float], cone: float) -> Ray:
+    """:func:`measuring_ray` of readings that are compared with lines. A beam that grazes the line
+    is a ray.
+    """
+    cosine = normal[0] * middle.to_x + normal[1] * middle.to_y
+    return measuring_ray(middle, normal, cone) if abs(cosine) > GRAZING else middle
+
+
+@compiled
 def read_share(cosine: float, cone: float) -> float:
     """The share of its distance that a wall reads, given the cosine between the middle of the beam
     and the wall's normal.
@@ -149,7 +158,7 @@ def predict_range(
     nx = line.normal_x
     ny = line.normal_y
     middle = ray_of(pose, reading)
-    ray = measuring_ray(middle, (nx, ny), reading[4])
+    ray = wall_ray(middle, (nx, ny), reading[4])
     distance, along, cosine = meeting(ray, line)
     turning = (
         (pose[1] - ray.y) * nx
@@ -211,13 +220,8 @@ def end_of_ray(ray: Ray, length: float) -> tuple[float, float]:
 def end_on_wall(
     pose: tuple[float, float, float], reading: FloatArray, normal: tuple[float, float], reach: float
 ) -> tuple[float, float]:
-    """Where a reading from a pose, m, m, rad, ends on a wall with this normal at a range, m; on the
-    middle of its beam if that grazes the wall.
-    """
-    ray = ray_of(pose, reading)
-    if abs(normal[0] * ray.to_x + normal[1] * ray.to_y) > GRAZING:
-        ray = measuring_ray(ray, normal, reading[4])
-    return end_of_ray(ray, reach)
+    """Where a reading from a pose, m, m, rad, ends on a wall with this normal at a range, m."""
+    return end_of_ray(wall_ray(ray_of(pose, reading), normal, reading[4]), reach)
 
 
 @entry
