@@ -18,7 +18,7 @@ Readings come as ``places`` (n,), the numbers of the poses from which they were 
 ``readings`` (n, 6): the beam's origin x, y in the robot's frame (m), its direction (rad), its range
 (m), half its opening angle (rad), and the number of the beam. The poses of a filter begin in its
 state ``x`` at the index ``start``. What is predicted for a reading is a row (7,): range (m),
-derivatives by pose (3) and by line (2), and the cosine between the middle of the beam and the
+derivatives by pose (3) and by line (2), and the cosine between the ray that measures and the
 normal. The derivative by theta, over that by d, is how far from the anchor's foot the ray meets the
 line, m against the line's direction.
 """
@@ -157,8 +157,7 @@ def predict_range(
     """Set a row (7,) to what is predicted for a reading of a line from a pose, m, m, rad."""
     nx = line.normal_x
     ny = line.normal_y
-    middle = ray_of(pose, reading)
-    ray = wall_ray(middle, (nx, ny), reading[4])
+    ray = wall_ray(ray_of(pose, reading), (nx, ny), reading[4])
     distance, along, cosine = meeting(ray, line)
     turning = (
         (pose[1] - ray.y) * nx
@@ -171,7 +170,7 @@ def predict_range(
     out[3] = -turning / cosine
     out[4] = 1.0 / cosine
     out[5] = -along / cosine
-    out[6] = nx * middle.to_x + ny * middle.to_y
+    out[6] = cosine
 
 
 @compiled

@@ -54,6 +54,11 @@ GRAZING = 0.2
 about the line.
 """
 
+FLATTEST = math.acos(GRAZING)
+"""Largest angle between a line's normal and the middle of a beam that does not graze the line,
+rad.
+"""
+
 LEAST_DIVISOR = 1e-9
 """Least number that is divided by, so that a beam parallel to a line meets it very far away, at a
 finite range.

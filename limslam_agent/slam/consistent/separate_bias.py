@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.kernels.tables import POSE
+from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
@@ -358,18 +358,22 @@ def by_range_errors(
     tan(phi) more for each radian that it is turned away from the normal. A wider cone reads the
     wall under a ray that is nearer to the perpendicular, and so a shorter range.
 
-    ``expected`` (n, 7) is what ``kernels.beams.predict_ranges`` fills for the readings (n, 6),
-    which were taken with these headings (n,), rad, of a line with its normal at ``theta``, rad.
+    ``expected`` (n, 7) is what ``kernels.beams.predict_ranges`` fills for the readings (n,
+    6), which were taken with these headings (n,), rad, of a line with its normal at ``theta``, rad.
     ``beams`` is 0 if directions are not estimated.
     """
-    cosines = np.abs(1.0 / expected[:, 4])
+    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_DIVISOR)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
     by_width = -expected[:, 0] * sines / cosines
     by_errors = np.zeros((len(cosines), TURNS.start + beams))
     by_errors[:, 0] = 1.0
     by_errors[:, 1] = by_width
     if beams:
+        angles = readings[:, 2]
+        cones = readings[:, 4]
         numbers = readings[:, 5].astype(int)
-        slants = angle_between(headings + readings[:, 2] - theta)
+        turn = angle_between(theta - headings - angles)
+        turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -cones, cones), 0.0)
+        slants = angle_between(headings + angles + turn - theta)
         by_errors[np.arange(len(slants)), TURNS.start + numbers] = -np.sign(slants) * by_width
     return by_errors

@@ -97,7 +97,7 @@ class Expected(NamedTuple):
     by_pose, by_line
         Derivatives of the ranges by the poses (k, 3) and by the lines (k, 2).
     cosines
-        Cosines (k,) of the angles between the middles of the beams and the normals of the lines.
+        Cosines (k,) of the angles between the rays that measure and the normals of the lines.
     """
 
     ranges: FloatArray
