@@ -4,8 +4,6 @@ covariances.
 Beams confirm a wall where they end, and contradict it where they pass through.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from limslam_agent.kernels.crossings import count_passes
@@ -13,31 +11,27 @@ from limslam_agent.kernels.tables import BIN, FEWEST, THROUGH_SIGMAS, THROUGH_SL
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.problem import Readings, State
-from limslam_agent.slam.line_graph.reassociation import (
-    Association,
-    places_along,
-    solve_again,
-)
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_agent.slam.line_graph.association import Association, relabelled
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal, normalise
 
 
-def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
-    """Where along each line of a solution beams ended and passed, and how much each of the looks
-    (k,) contradicts walls.
+def tally(
+    found: Association, chosen: BoolArray | None = None
+) -> tuple[list[WallExtent], FloatArray]:
+    """Where along each line of a solution beams ended and passed, and how much each of the chosen
+    looks (k,) contradicts walls.
 
     Where more beams passed than ended, those that ended are the contradiction, as where somebody
     stood for a moment: all that passed there count as much as these.
     """
     problem = found.problem
-    state = found.state
-    used = found.labels >= 0
     looks = problem.looks
+    used = found.labels >= 0
     labels = found.labels[used]
-    along = places_along(problem, state, found.labels)[used]
+    along = found.along[used]
     bins = np.floor(along / BIN).astype(np.int64)
-    count = len(state.lines)
+    count = len(found.state.lines)
     low = np.full(count, np.iinfo(np.int64).max)
     high = np.full(count, np.iinfo(np.int64).min)
     np.minimum.at(low, labels, bins)
@@ -49,22 +43,19 @@ def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
-    free = np.where(
-        problem.is_hit,
-        problem.true(looks.distances, looks.places, state.calibration),
-        looks.distances,
-    )
-    rays = state.rays(looks.places, problem.look_beams, free)
+    distances = problem.true(looks, found.state.calibration)
+    free = np.where(problem.is_hit, distances, looks.distances)
+    rays = found.state.rays(looks.places, problem.look_beams, free)
+    rays = rays if chosen is None else rays[chosen]
+    lines = found.state.line_rows
     misses = np.zeros_like(hits)
     against = np.empty(len(rays))
-    nothing = np.zeros(hits.shape)
-    count_passes(rays, state.line_rows, low, margin, misses, nothing, against)
+    count_passes(rays, lines, low, margin, misses, np.zeros(hits.shape), against)
     shares = np.where(_is_wall(hits), np.minimum(hits / np.maximum(misses, 1), 1.0), 0.0)
-    count_passes(rays, state.line_rows, low, margin, misses.copy(), shares, against)
+    count_passes(rays, lines, low, margin, misses.copy(), shares, against)
     counted = np.stack((hits, misses), axis=1)
-    return [
-        WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)
-    ], against
+    extents = zip(low.tolist(), counted, reached, strict=True)
+    return [WallExtent(*each) for each in extents], against
 
 
 def _is_wall(hits: IntArray) -> BoolArray:
@@ -82,16 +73,13 @@ def lasting(found: Association) -> Association:
     """The optimum without the readings of what did not last, as somebody who walked by: of places
     where more beams passed than ended.
     """
-    along = places_along(found.problem, found.state, found.labels)
     labels = found.labels.copy()
     for index, extent in enumerate(tally(found)[0]):
         own = np.flatnonzero(labels == index)
-        bins = np.floor(along[own] / BIN).astype(np.int64) - extent.low
+        bins = np.floor(found.along[own] / BIN).astype(np.int64) - extent.low
         hits, misses = extent.counted[:, bins]
         labels[own[misses > THROUGH_TOLERANCE * hits]] = -1
-    if np.array_equal(labels, found.labels):
-        return found
-    return solve_again(found.problem, found.state, labels)
+    return found if np.array_equal(labels, found.labels) else relabelled(found, labels)
 
 
 def contradictions(found: Association) -> float:
@@ -101,17 +89,15 @@ def contradictions(found: Association) -> float:
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
     problem = found.problem
-    looks = found.problem.looks
-    steps = len(problem.starts) * problem.steps
+    looks = problem.looks
     beams = len(problem.robot.beams)
-    is_empty = np.zeros((steps + 2, beams), dtype=bool)
+    is_empty = np.zeros((len(found.state.flat_poses) + 2, beams), dtype=bool)
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
-    kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
-    _, weights = tally(replace(found, problem=replace(problem, looks=kept)))
-    against = np.bincount(kept.beams, weights, minlength=beams)
-    tested = np.bincount(kept.beams, minlength=beams)
+    own = looks.beams[counts]
+    against = np.bincount(own, tally(found, counts)[1], minlength=beams)
+    tested = np.bincount(own, minlength=beams)
     others = np.arange(beams) != against.argmax()
     return float(against[others].sum() / max(tested[others].sum(), 1))
 
@@ -122,30 +108,39 @@ def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
 
     A wall is where beams ended along a line and no beam passed through.
     """
-    segments, owners = _drawn(found)
-    lines, covariances = world_lines(found)
-    along = places_along(found.problem, found.state, found.labels)
+    segments = [np.zeros((0, 4))]
     landmarks = []
-    for index in np.unique(owners).tolist():
-        own, (r, theta) = along[found.labels == index], lines[index].tolist()
-        ends = _points(found.state, index, np.array([own.min(), own.max()]))
-        rows = tuple(np.flatnonzero(owners == index).tolist())
+    count = 0
+    lines, covariances = world_lines(found)
+    for index, extent in enumerate(tally(found)[0]):
+        own = found.along[found.labels == index]
+        pieces = drawn_pieces(extent)
+        within = (own[:, None] >= pieces[:, 0]) & (own[:, None] <= pieces[:, 1])
+        # Many beams that end at one point show no wall.
+        pieces = pieces[(within.sum(axis=0) >= FEWEST) & (np.ptp(pieces, axis=1) >= BIN)]
+        if not len(pieces):
+            continue
+        line = found.state.lines[index]
+        foot = found.state.anchors[index] + line[0] * normal(line)
+        segments.append((foot + pieces[..., None] * direction(line)).reshape(-1, 4))
+        ends = foot + np.array([[own.min()], [own.max()]]) * direction(line)
+        rows = tuple(range(count, count + len(pieces)))
+        count += len(pieces)
+        r, theta = lines[index].tolist()
         landmarks.append(Landmark(r, theta, covariances[index], ends, len(own), index, rows))
-    return landmarks, segments
+    return landmarks, np.concatenate(segments)
 
 
 def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     """Lines (m, 2) as (r, theta) about the world's origin, and their covariances (m, 2, 2)."""
     state = found.state
-    joint = found.solution.of_lines
     lines = state.lines.copy()
-    normals = normal(lines)
-    tangents = direction(lines)
-    lines[:, 0] += np.sum(normals * state.anchors, axis=1)
-    lever = np.sum(tangents * state.anchors, axis=1)
-    own = 2 * np.arange(len(lines))
-    blocks = joint[own[:, None, None] + np.arange(2)[:, None], own[:, None, None] + np.arange(2)]
-    jacobians = np.tile(np.eye(2), (len(lines), 1, 1))
+    lever = np.sum(direction(lines) * state.anchors, axis=1)
+    lines[:, 0] += np.sum(normal(lines) * state.anchors, axis=1)
+    count = len(lines)
+    joint = found.solution.of_lines.reshape(count, 2, count, 2)
+    blocks = joint[np.arange(count), :, np.arange(count)]
+    jacobians = np.tile(np.eye(2), (count, 1, 1))
     jacobians[:, 0, 1] = lever
     # Reversing the normal to make r positive changes the sign of the covariance between r and
     # theta.
@@ -156,26 +151,3 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
 def drawn_pieces(extent: WallExtent) -> FloatArray:
     """The pieces (k, 2) of a line that are drawn as walls, m along the line."""
     return extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
-
-
-def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
-    """The wall segments (k, 4), m, and the line (k,) of each."""
-    drawn = [no_rows(4)]
-    owners = [np.zeros(0, dtype=np.int64)]
-    along = places_along(found.problem, found.state, found.labels)
-    for index, extent in enumerate(tally(found)[0]):
-        pieces = drawn_pieces(extent)
-        own = along[found.labels == index, None]
-        count = np.sum((own >= pieces[:, 0]) & (own <= pieces[:, 1]), axis=0)
-        # Many beams that end at one point show no wall.
-        pieces = pieces[(count >= FEWEST) & (np.ptp(pieces, axis=1) >= BIN)]
-        drawn.append(_points(found.state, index, pieces).reshape(-1, 4))
-        owners.append(np.full(len(pieces), index))
-    return np.concatenate(drawn), np.concatenate(owners)
-
-
-def _points(state: State, index: int, along: FloatArray) -> FloatArray:
-    """Points (..., 2) in the world frame at places (...) along a line."""
-    line = state.lines[index]
-    foot = state.anchors[index] + line[0] * normal(line)
-    return np.asarray(foot + along[..., None] * direction(line))
