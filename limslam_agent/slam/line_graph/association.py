@@ -20,8 +20,8 @@ from limslam_agent.slam.line_graph.merging import (
     POSITIVE,
     SURE,
     Lines,
-    board_odds,
     merge_lines,
+    prior_odds,
     wall_kinds,
 )
 from limslam_agent.slam.line_graph.new_lines import faces
@@ -126,7 +126,7 @@ def settled(found: Association) -> Association:
         before = found.state.poses
         merged, has_merged, kinds = merge(found)
         seen = merged.seen
-        if board_odds(0.0, *kinds) > SURE:
+        if prior_odds(*kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other
             # side.
             low = seen[..., 0].min(axis=1)

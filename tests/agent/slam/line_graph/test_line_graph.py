@@ -31,15 +31,14 @@ from limslam_agent.slam.line_graph.merging import (
     LEAST_SHARE,
     NEGATIVE,
     POSITIVE,
-    PRIOR_LENGTH,
     SURE,
     THICKEST,
     THINNEST,
     Lines,
     board_evidence,
-    board_odds,
     is_wall,
     merge_lines,
+    prior_odds,
     wall_kinds,
 )
 from limslam_agent.slam.line_graph.motions import motion_jacobians, motions_between
@@ -439,12 +438,10 @@ def test_an_exact_offset_decides_and_a_vague_one_does_not() -> None:
 
 def test_a_building_has_mostly_one_kind_of_walls() -> None:
     vague = board_evidence(0.1, 0.3**2)
-    assert board_odds(vague, 10.0, 0.0) > SURE
-    assert board_odds(vague, 0.0, 0.0) == pytest.approx(vague)
-    assert board_odds(vague, 10.0, 10.0) < SURE
-    exact = board_evidence(0.0, 0.01**2)
-    assert board_odds(exact, 0.0, 100.0) == pytest.approx(exact + math.log(LEAST_SHARE))
-    assert np.isfinite(board_odds(-1e6, 0.0, 1.0 / PRIOR_LENGTH))
+    assert vague + prior_odds(10.0, 0.0) > SURE
+    assert vague + prior_odds(10.0, 10.0) < SURE
+    assert prior_odds(0.0, 0.0) == pytest.approx(0.0)
+    assert prior_odds(0.0, 100.0) == pytest.approx(math.log(LEAST_SHARE))
 
 
 def truth(seed, noise=0.02, **changes):
