@@ -36,7 +36,6 @@ from limslam_agent.slam.line_graph.merging import (
     THINNEST,
     Lines,
     board_evidence,
-    is_wall,
     merge_lines,
     prior_odds,
     wall_kinds,
@@ -425,15 +424,6 @@ def test_the_evidence_is_the_ratio_of_the_likelihoods(behind: float, std: float)
     )[0]
     wanted = norm.pdf(behind, 0.0, std) / (of_walls / (THICKEST - THINNEST) + ELSEWHERE)
     assert board_evidence(behind, std**2) == pytest.approx(math.log(wanted), rel=1e-6, abs=1e-6)
-
-
-def test_an_exact_offset_decides_and_a_vague_one_does_not() -> None:
-    assert board_evidence(0.0, 0.01**2) > SURE
-    assert is_wall(board_evidence(0.13, 0.02**2), 0.13)
-    assert abs(board_evidence(0.13, 0.5**2)) < 1.0
-    # What is in front of a line, or far behind it, is not the other face of its wall.
-    assert not is_wall(board_evidence(-0.13, 0.02**2), -0.13)
-    assert not is_wall(board_evidence(0.8, 0.02**2), 0.8)
 
 
 def test_a_building_has_mostly_one_kind_of_walls() -> None:
