@@ -202,7 +202,7 @@ def smoothed_by_lines(
         status = places.doubt
     smoothed = Smoothed(
         found.poses[:, 0],
-        _line_figures(found, has_heading=run.has_headings),
+        _line_figures(found, has_heading=run.headings is not None),
         time.process_time() - begin,
         run.synchronous.until(placed),
         covariances=found.covariances[:, 0],

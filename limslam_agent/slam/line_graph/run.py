@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -80,7 +81,7 @@ class FilteredRun:
     wheel_variances: FloatArray | None = None
 
     @property
-    def rows(self) -> dict[str, FloatArray]:
+    def rows(self) -> dict[str, Any]:
         """The arrays (t, ...) that have a row for each step, by their names."""
         every = {name: getattr(self, name) for name in _ROWS}
         return {name: values for name, values in every.items() if values is not None}
@@ -140,7 +141,7 @@ class FilteredRun:
             slips=tuple(each for each in slips if each[1] < step),
         )
 
-    def lasting(self, steps: int) -> dict[str, FloatArray]:
+    def lasting(self, steps: int) -> dict[str, Any]:
         """The ``rows`` for so many steps, at least as many as there are: the robots stand still at
         the end.
         """
@@ -192,7 +193,7 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
         closures=[*first.closures, *united],
         breaks=(*first.breaks, *((1, step) for _, step in second.breaks)),
         sensor=longer.sensor,
-        **columns,  # type: ignore[arg-type]
+        **columns,
     )
 
 
