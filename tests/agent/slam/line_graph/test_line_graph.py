@@ -76,6 +76,20 @@ def test_derivatives_of_motions_are_differences(turn):
         assert found[:, column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
+def test_derivatives_of_reports_are_differences():
+    problem, _ = noisy_run(4)
+    motions = problem.motions + 1e-3
+    calibration = np.array([[0.02, -0.01, 0.03, 0.0, 0.0]])
+    reports, by_motion, by_errors = problem.reports(motions, calibration)
+    for column, unit in enumerate(1e-6 * np.eye(5)[:3]):
+        more, less = (problem.reports(motions, calibration + each)[0] for each in (unit, -unit))
+        np.testing.assert_allclose(by_errors[..., column], (more - less) / 2e-6, atol=1e-9)
+    for column, unit in enumerate(1e-3 * np.eye(3)):
+        moved = problem.reports(motions + unit, calibration)[0]
+        wanted = np.broadcast_to(by_motion[..., column], moved.shape)
+        np.testing.assert_allclose((moved - reports) / 1e-3, wanted, atol=1e-9)
+
+
 def test_derivatives_by_bias_and_scale_are_differences():
     problem, poses = noisy_run(4)
     state = state_from_motions(problem)
