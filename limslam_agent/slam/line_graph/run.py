@@ -183,7 +183,7 @@ def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Filter
     ]
     # The readings of the longer run say more about the sensor.
     longer = max((first.corrected, second.corrected), key=lambda each: len(each.poses))
-    columns = {
+    columns: dict[str, Any] = {
         name: np.concatenate((one[name], other[name]), axis=1) for name in one if name in other
     }
     return FilteredRun(
