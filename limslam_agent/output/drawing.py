@@ -54,10 +54,16 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     paint_map(axes, picture)
     # A title of the axes may be cut off: their equal scales move it after the layout.
     figure.suptitle("\n".join((picture.title, *remark)), fontsize=11, parse_math=False)
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9
-    )
+    add_legend(figure, handles, columns)
     figure.savefig(path, dpi=160, facecolor="white")
+
+
+def add_legend(
+    figure: Figure, handles: list[Line2D], columns: int, side: str = "center", size: float = 9.0
+) -> None:
+    """Write the entries of a legend below a figure."""
+    place = f"outside lower {side}"
+    figure.legend(handles=handles, loc=place, ncols=columns, frameon=False, fontsize=size)
 
 
 def _columns(labels: list[str], width: float) -> int:

@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 from typing import Literal, TypeAlias
 
+import cv2
 import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
@@ -117,6 +118,20 @@ def write(
         rows.start - top : rows.stop - top, columns.start - left : columns.stop - left, None
     ]
     image[rows, columns] = blended(image[rows, columns], colour, cover)
+
+
+def disc(
+    image: Image, centre: tuple[int, int], radius: int, colour: Colour, width: int = -1
+) -> None:
+    """Draw a disc, or a ring of a width. All sizes are in pixels."""
+    cv2.circle(image, centre, radius, colour, width, cv2.LINE_AA)
+
+
+def box(
+    image: Image, low: tuple[int, int], high: tuple[int, int], colour: Colour, width: int = -1
+) -> None:
+    """Fill a box between two corners, or draw its frame of a width. All sizes are in pixels."""
+    cv2.rectangle(image, low, high, colour, width)
 
 
 def blended(pixels: Image, colour: Colour, cover: Image) -> Image:

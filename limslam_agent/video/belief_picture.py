@@ -123,11 +123,15 @@ def draw_belief(
 
     ``window`` has the lower left and the upper right corner (2,), m, of the visible region.
     """
-    sheet = _sheet(size, window)
+    (width, height), (low, high) = size, window
+    extent = np.maximum(high - low, 1e-3)
+    scale = float(min(width / extent[0], height / extent[1]))
+    # The window is centred. Both directions have the same scale.
+    corner = 0.5 * (low + high) - 0.5 * np.array([width, height]) / scale
+    sheet = Sheet(plain(width, height, UNKNOWN).copy(), corner, scale)
     _draw_grid(sheet, frame)
     for number, path in enumerate(frame.paths):
         sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
-    _draw_bands(sheet, frame)
     _draw_walls(sheet, frame)
     for buffer in frame.buffers:
         sheet.discs(buffer.points, 2.2, side_colour(buffer.side))
@@ -138,15 +142,6 @@ def draw_belief(
         _draw_robot(sheet, pose, covariance, robot_colour(number))
     _draw_names(sheet, frame)
     return sheet.image
-
-
-def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Sheet:
-    (width, height), (low, high) = size, window
-    extent = np.maximum(high - low, 1e-3)
-    scale = float(min(width / extent[0], height / extent[1]))
-    # The window is centred. Both directions have the same scale.
-    corner = 0.5 * (low + high) - 0.5 * np.array([width, height]) / scale
-    return Sheet(plain(width, height, UNKNOWN).copy(), corner, scale)
 
 
 def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
@@ -179,17 +174,12 @@ def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     sheet.wash(frame.frontier[:, None] + half, FRONTIER, 0.55)
 
 
-def _draw_bands(sheet: Sheet, frame: BeliefFrame) -> None:
-    """Draw the walls' uncertainty, up to a distance from each wall."""
-    ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
-    low = ends.min(axis=1, keepdims=True)
-    high = ends.max(axis=1, keepdims=True)
-    sheet.wash(
-        np.clip(wall_bands(frame.walls), low - _WIDEST_BAND, high + _WIDEST_BAND), WALL, 0.22
-    )
-
-
 def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
+    """Draw the walls over their uncertainty, which is shown up to a distance from each wall."""
+    ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
+    low = ends.min(axis=1, keepdims=True) - _WIDEST_BAND
+    high = ends.max(axis=1, keepdims=True) + _WIDEST_BAND
+    sheet.wash(np.clip(wall_bands(frame.walls), low, high), WALL, 0.22)
     glowing = {wall for event in frame.events for wall in event.walls}
     for wall in frame.walls:
         if wall.number + 1 in glowing:
