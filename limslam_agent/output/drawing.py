@@ -13,7 +13,8 @@ from matplotlib.lines import Line2D
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.map_picture import MapPicture
-from limslam_agent.output.style import hexadecimal, robot_colour
+from limslam_agent.output.style import hexadecimal
+from limslam_env.canvas import robot_colour
 from limslam_env.geometry import FloatArray
 
 TRUTH = "0.72"

@@ -10,35 +10,37 @@ import cv2
 import numpy as np
 
 from limslam_agent.output.style import (
-    BEAM,
     FAINT,
-    FREE,
-    FRONTIER,
     GLOW,
     HEAT,
     INK,
     OCCUPIED,
-    PAPER,
     PEAKS,
-    ROBOTS,
-    RULE,
-    TEXT,
-    UNKNOWN,
-    WALL,
-    Colour,
-    Image,
     box,
     disc,
     fitted,
-    mixed,
     plain,
-    robot_colour,
     side_colour,
     width_of,
     write,
 )
 from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.video.belief_frame import HoughView
+from limslam_env.canvas import (
+    BEAM,
+    BELIEF,
+    FRONTIER,
+    PAPER,
+    ROBOTS,
+    RULE,
+    SEEN,
+    TEXT,
+    UNSEEN,
+    Colour,
+    Image,
+    mixed,
+    robot_colour,
+)
 from limslam_env.messages import counted
 
 STAGES = (
@@ -194,7 +196,7 @@ def _draw_bar(panel: Image, buffer: PendingPoints, x: int, y: int, width: int) -
 def draw_log(lines: Sequence[tuple[float, str, str]], width: int, height: int) -> Image:
     """The list of events, with the latest on top: rows of time (s), kind and text."""
     panel = blank(width, height, "Events")
-    marks = {"new": WALL, "again": FAINT, "loop": GLOW, "goal": FRONTIER}
+    marks = {"new": BELIEF, "again": FAINT, "loop": GLOW, "goal": FRONTIER}
     for row, (time, kind, words) in enumerate(lines[: max((height - 20) // _ROW, 0)]):
         y = 34 + row * _ROW
         colour = mixed(INK, PAPER, min(0.12 * row, 0.6))
@@ -279,10 +281,10 @@ def _draw_symbol(panel: Image, number: int, x: int, y: int) -> None:
         upper = [(0, -6), (10, -2), (20, -6)]
         lower = [(across, -up) for across, up in reversed(upper)]
         bow = np.add((x, y), upper + lower)
-        cv2.fillPoly(panel, [bow.astype(np.int32)], mixed(WALL, PAPER, 0.75), cv2.LINE_AA)
-        cv2.line(panel, (x, y), (x + 20, y), WALL, 2)
+        cv2.fillPoly(panel, [bow.astype(np.int32)], mixed(BELIEF, PAPER, 0.75), cv2.LINE_AA)
+        cv2.line(panel, (x, y), (x + 20, y), BELIEF, 2)
     elif number in {2, 3, 4, 5}:
-        colour = (FREE, OCCUPIED, UNKNOWN, mixed(FRONTIER, FREE, 0.4))[number - 2]
+        colour = (SEEN, OCCUPIED, UNSEEN, mixed(FRONTIER, SEEN, 0.4))[number - 2]
         box(panel, (x + 5, y - 6), (x + 18, y + 6), colour)
         box(panel, (x + 5, y - 6), (x + 18, y + 6), RULE, 1)
     elif number == 6:

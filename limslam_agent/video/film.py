@@ -7,20 +7,7 @@ from typing import TypeAlias
 import cv2
 import numpy as np
 
-from limslam_agent.output.style import (
-    FAINT,
-    GLOW,
-    INK,
-    PAPER,
-    RULE,
-    TEXT,
-    Image,
-    box,
-    fitted,
-    mixed,
-    width_of,
-    write,
-)
+from limslam_agent.output.style import FAINT, GLOW, INK, box, fitted, width_of, write
 from limslam_agent.video.belief_frame import BeliefFrame
 from limslam_agent.video.belief_panels import (
     blank,
@@ -34,6 +21,7 @@ from limslam_agent.video.belief_panels import (
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.narration import SPEED, Caption, Narrator
 from limslam_agent.video.video import VideoWriter
+from limslam_env.canvas import PAPER, RULE, TEXT, Image, mixed
 from limslam_env.geometry import FloatArray
 
 WIDTH = 1280

@@ -15,7 +15,8 @@ import cv2
 from PIL import Image as Pictures
 
 from limslam_agent.output.atomic_write import atomic_write, check_target
-from limslam_agent.output.style import PALETTE, Image
+from limslam_agent.output.style import PALETTE
+from limslam_env.canvas import Image
 
 SUFFIXES = (".mp4", ".gif")
 
