@@ -2,7 +2,7 @@
 
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,10 +60,13 @@ def draw_map(path: Path, picture: MapPicture) -> None:
 
 
 def add_legend(
-    figure: Figure, handles: list[Line2D], columns: int, side: str = "center", size: float = 9.0
+    figure: Figure,
+    handles: list[Line2D],
+    columns: int,
+    place: Literal["outside lower center", "outside lower left"] = "outside lower center",
+    size: float = 9.0,
 ) -> None:
     """Write the entries of a legend below a figure."""
-    place = f"outside lower {side}"
     figure.legend(handles=handles, loc=place, ncols=columns, frameon=False, fontsize=size)
 
 

@@ -104,7 +104,7 @@ def draw_run(
     paint_map(figure.add_subplot(grid[:, 0]), picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
-    add_legend(figure, handles, min(len(handles), 5), "left", 8.5)
+    add_legend(figure, handles, min(len(handles), 5), "outside lower left", 8.5)
     upper = figure.add_subplot(grid[0, 1])
     lower = figure.add_subplot(grid[1, 1], sharex=upper)
     colours = [estimated for estimated, _ in path_colours(len(run.estimated))]

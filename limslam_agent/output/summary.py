@@ -170,7 +170,7 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
     if event == "not joined":
         where = "the map of the second robot is in map_unplaced.json, in its own frame"
         return f"not joined: {details.get('reason')}; {where}"
-    start = details.get("start")
+    start: Any = details.get("start")
     is_pose = isinstance(start, list) and _has(dict(enumerate(start)), 0, 1, 2)
     if event == "joined" and "reason" in details and is_pose:
         x, y, heading = start[:3]

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO, TypeAlias
 
 import cv2
+import numpy as np
 from PIL import Image as Pictures
 
 from limslam_agent.output.atomic_write import atomic_write, check_target
@@ -160,7 +161,8 @@ class _Gif:
         self._size = (width, height)
         if width > _GIF_WIDTH:
             self._size = (_GIF_WIDTH, round(height * _GIF_WIDTH / width))
-            small = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
+            resized = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
+            small = np.asarray(resized, dtype=np.uint8)
         if self._frames:
             last, shown = self._frames[-1]
             self._frames[-1] = (last, shown + self._owed)
