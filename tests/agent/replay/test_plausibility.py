@@ -183,6 +183,7 @@ def wheel_log(change):
         scans,
         np.zeros(3),
         wheels=wheels @ change,
+        header=("left", "right", "-", "t", "r_90"),
     )
 
 
