@@ -24,7 +24,7 @@ from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.online_graph.online_graph import OnlineGraph
+    from limslam_agent.slam.map_graph.online import OnlineGraph
 
 
 ESTIMATE = np.dtype(
@@ -74,7 +74,7 @@ class LogEstimate:
         if log.odometry is not None and config.smoothing is not None:
             # Importing the graph takes long.
             from limslam_agent.replay.smoothing import log_data
-            from limslam_agent.slam.online_graph.online_graph import OnlineGraph
+            from limslam_agent.slam.map_graph.online import OnlineGraph
 
             self._data = log_data(log, log.odometry, config.range_std)
             self._graph = OnlineGraph(self._data, log.start_pose, config.smoothing)

@@ -19,9 +19,9 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.graph.key_poses import LogData
-    from limslam_agent.slam.graph.smooth import GraphResult
     from limslam_agent.slam.line_graph.smoother import FilteredRun
+    from limslam_agent.slam.map_graph.key_poses import LogData
+    from limslam_agent.slam.map_graph.stages import GraphResult
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,13 +23,13 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.chunk_graph import KEPT
-from limslam_agent.slam.graph.key_poses import LogData, odometry_trajectory
-from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
-from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
-from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.slam.map_graph.chunk_graph import KEPT
+from limslam_agent.slam.map_graph.key_poses import LogData, odometry_trajectory
+from limslam_agent.slam.map_graph.point_links import PointCloud, point_cloud
+from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
+from limslam_agent.slam.map_graph.stages import GraphResult, Report, rounds
+from limslam_agent.slam.map_graph.wall_lines import lines_in
 from limslam_agent.status.status import lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import visit_counts
-from limslam_agent.slam.graph.posterior import position_covariance
-from limslam_agent.slam.graph.smooth import GraphResult
+from limslam_agent.slam.map_graph.agreement import visit_counts
+from limslam_agent.slam.map_graph.posterior import position_covariance
+from limslam_agent.slam.map_graph.stages import GraphResult
 from limslam_agent.status.chance import (
     LIMIT,
     chance_mistaken,

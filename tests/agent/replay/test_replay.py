@@ -24,7 +24,7 @@ from limslam_agent.replay.replay import write_replay
 from limslam_agent.replay.smoothing import draw_walls, trusted_path
 from limslam_agent.replay.trust import PathSignals, longest_loose
 from limslam_agent.runs.inspection import inspect_log
-from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_agent.slam.map_graph.point_links import PointCloud
 from limslam_env import NominalNoise, RobotSpec, SensorSpec
 from limslam_env.geometry import se2, segment
 from limslam_env.metrics import trajectory_metrics

@@ -17,11 +17,11 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.smoothing import log_data
-from limslam_agent.slam.graph.chunk_graph import KEPT
-from limslam_agent.slam.graph.key_poses import LogData, delayed, integrate
-from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.graph.smooth import rounds
-from limslam_agent.slam.online_graph.online_graph import OnlineGraph
+from limslam_agent.slam.map_graph.chunk_graph import KEPT
+from limslam_agent.slam.map_graph.key_poses import LogData, delayed, integrate
+from limslam_agent.slam.map_graph.online import OnlineGraph
+from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
+from limslam_agent.slam.map_graph.stages import rounds
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise
 from limslam_env.geometry import se2
