@@ -109,22 +109,24 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
     DegenerateError
         If the readings do not determine the poses.
     """
-    found = settled(solve_labels(problem, state, labels))
-    _, best = assigned(found, found.seen)
-    unexplained = np.flatnonzero((best < 0) & (found.labels < 0))
-    labels = found.labels.copy()
-    for number, face in enumerate(faces(problem, found.state, unexplained), len(found.state.lines)):
+    association = settled(solve_labels(problem, state, labels))
+    _, best = assigned(association, association.seen)
+    unexplained = np.flatnonzero((best < 0) & (association.labels < 0))
+    labels = association.labels.copy()
+    for number, face in enumerate(
+        faces(problem, association.state, unexplained), len(association.state.lines)
+    ):
         labels[face] = number
-    if np.array_equal(labels, found.labels):
-        return found
-    return settled(with_new_lines(found, labels))
+    if np.array_equal(labels, association.labels):
+        return association
+    return settled(with_new_lines(association, labels))
 
 
-def settled(found: Association) -> Association:
+def settled(association: Association) -> Association:
     """Rounds of merging, assignment, solution and division until nothing changes any more."""
     for _ in range(_ROUNDS):
-        before = found.state.poses
-        merged, has_merged, kinds = merge(found)
+        before = association.state.poses
+        merged, has_merged, kinds = merge(association)
         seen = merged.seen
         if prior_odds(*kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other
@@ -132,10 +134,10 @@ def settled(found: Association) -> Association:
             low = seen[..., 0].min(axis=1)
             high = seen[..., 1].max(axis=1)
             seen = np.tile(np.stack((low, high), axis=-1)[:, None], (1, 2, 1))
-        found = straightened(relabelled(merged, assigned(merged, seen)[0]))
-        if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
+        association = straightened(relabelled(merged, assigned(merged, seen)[0]))
+        if np.abs(association.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
-    return found
+    return association
 
 
 def solve_labels(problem: Problem, state: State, labels: IntArray) -> Association:
@@ -149,7 +151,9 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     return Association(problem, solve(problem, state, labels), labels)
 
 
-def relabelled(found: Association, labels: IntArray, state: State | None = None) -> Association:
+def relabelled(
+    association: Association, labels: IntArray, state: State | None = None
+) -> Association:
     """The optimum for other associations with the lines of a state; lines with too few readings are
     removed.
 
@@ -159,13 +163,15 @@ def relabelled(found: Association, labels: IntArray, state: State | None = None)
         If no line is left, or the equations cannot be solved.
     """
     labels, kept = renumbered(labels)
-    state = (state or found.state).select(kept)
-    return Association(found.problem, solve(found.problem, state, labels), labels)
+    state = (state or association.state).select(kept)
+    return Association(association.problem, solve(association.problem, state, labels), labels)
 
 
-def with_new_lines(found: Association, labels: IntArray) -> Association:
+def with_new_lines(association: Association, labels: IntArray) -> Association:
     """The optimum for associations with further lines, numbered after those of a solution."""
-    return relabelled(found, labels, with_lines(found.problem, found.state, labels))
+    return relabelled(
+        association, labels, with_lines(association.problem, association.state, labels)
+    )
 
 
 def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
@@ -197,15 +203,15 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     )
 
 
-def assigned(found: Association, ends: FloatArray) -> tuple[IntArray, IntArray]:
+def assigned(association: Association, ends: FloatArray) -> tuple[IntArray, IntArray]:
     """For each reading (k,), the line that predicts it, or -1 if none or two do; and the best one,
     or -1 if none does.
 
     A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
     ``_BEYOND`` outside.
     """
-    problem = found.problem
-    state = found.state
+    problem = association.problem
+    state = association.state
     distances = problem.true(problem.readings, state.calibration)
     rays = state.rays(problem.readings.places, problem.beams, distances)
     best = np.empty(len(rays), dtype=np.int64)
@@ -218,24 +224,32 @@ def assigned(found: Association, ends: FloatArray) -> tuple[IntArray, IntArray]:
     return np.where(is_clear, best, -1), np.where(is_explained, best, -1)
 
 
-def straightened(found: Association) -> Association:
+def straightened(association: Association) -> Association:
     """The optimum with bent lines divided. Parts with too few readings for a line have no line."""
-    readings = expected(found.problem, found.state, found.labels)
+    readings = expected(association.problem, association.state, association.labels)
     cosines = readings.cosines
     # The distance of a reading from its line is the residual along the beam times the cosine.
-    variances = np.maximum(found.problem.variances(found.state, readings) * cosines**2, 1e-18)
-    points = np.stack((found.along, residuals(found.problem, readings) * cosines, 1.0 / variances))
-    order = np.lexsort((found.along, found.labels))
-    order = order[not_grazing(readings, found.labels)[order]]
-    labels = found.labels.copy()
-    count = len(found.state.lines)
+    variances = np.maximum(
+        association.problem.variances(association.state, readings) * cosines**2, 1e-18
+    )
+    points = np.stack(
+        (association.along, residuals(association.problem, readings) * cosines, 1.0 / variances)
+    )
+    order = np.lexsort((association.along, association.labels))
+    order = order[not_grazing(readings, association.labels)[order]]
+    labels = association.labels.copy()
+    count = len(association.state.lines)
     for line in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         for part in _straight_parts(points, line)[1:]:
             labels[part] = count
             count += 1
     few = np.bincount(labels[labels >= 0], minlength=count) < FEWEST
     labels = np.where(few[labels], -1, labels)
-    return found if np.array_equal(labels, found.labels) else with_new_lines(found, labels)
+    return (
+        association
+        if np.array_equal(labels, association.labels)
+        else with_new_lines(association, labels)
+    )
 
 
 def _straight_parts(points: FloatArray, line: IntArray) -> list[IntArray]:
@@ -265,7 +279,7 @@ def _misfits(sums: FloatArray) -> FloatArray:
     return np.asarray(wyy - wy * wy / w - (wsy - ws * wy / w) ** 2 / spread)
 
 
-def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
+def merge(association: Association) -> tuple[Association, bool, tuple[float, float]]:
     """Merge the lines that may be one wall; whether there were such lines, and the lengths of
     boards and walls, m.
 
@@ -274,10 +288,18 @@ def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
     """
     has_merged = False
     while True:
-        state = found.state
-        lines = Lines(state.lines.copy(), state.anchors, found.seen.copy(), found.solution.of_lines)
+        state = association.state
+        lines = Lines(
+            state.lines.copy(),
+            state.anchors,
+            association.seen.copy(),
+            association.solution.of_lines,
+        )
         kinds = wall_kinds(lines)
         if not merge_lines(lines, kinds):
-            return found, has_merged, kinds
-        found = relabelled(found, np.where(found.labels >= 0, lines.merged_into[found.labels], -1))
+            return association, has_merged, kinds
+        association = relabelled(
+            association,
+            np.where(association.labels >= 0, lines.merged_into[association.labels], -1),
+        )
         has_merged = True

@@ -17,7 +17,7 @@ from limslam_env.geometry.line import direction, normal, normalise
 
 
 def tally(
-    found: Association, chosen: BoolArray | None = None
+    association: Association, chosen: BoolArray | None = None
 ) -> tuple[list[WallExtent], FloatArray]:
     """Where along each line of a solution beams ended and passed, and how much each of the chosen
     looks (k,) contradicts walls.
@@ -25,13 +25,13 @@ def tally(
     Where more beams passed than ended, those that ended are the contradiction, as where somebody
     stood for a moment: all that passed there count as much as these.
     """
-    problem = found.problem
+    problem = association.problem
     looks = problem.looks
-    used = found.labels >= 0
-    labels = found.labels[used]
-    along = found.along[used]
+    used = association.labels >= 0
+    labels = association.labels[used]
+    along = association.along[used]
     bins = np.floor(along / BIN).astype(np.int64)
-    count = len(found.state.lines)
+    count = len(association.state.lines)
     low = np.full(count, np.iinfo(np.int64).max)
     high = np.full(count, np.iinfo(np.int64).min)
     np.minimum.at(low, labels, bins)
@@ -43,11 +43,11 @@ def tally(
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
-    distances = problem.true(looks, found.state.calibration)
+    distances = problem.true(looks, association.state.calibration)
     free = np.where(problem.is_hit, distances, looks.distances)
-    rays = found.state.rays(looks.places, problem.look_beams, free)
+    rays = association.state.rays(looks.places, problem.look_beams, free)
     rays = rays if chosen is None else rays[chosen]
-    lines = found.state.line_rows
+    lines = association.state.line_rows
     misses = np.zeros_like(hits)
     against = np.empty(len(rays))
     count_passes(rays, lines, low, margin, misses, np.zeros(hits.shape), against)
@@ -69,40 +69,44 @@ def _is_wall(hits: IntArray) -> BoolArray:
     return is_wall
 
 
-def lasting(found: Association) -> Association:
+def lasting(association: Association) -> Association:
     """The optimum without the readings of what did not last, as somebody who walked by: of places
     where more beams passed than ended.
     """
-    labels = found.labels.copy()
-    for index, extent in enumerate(tally(found)[0]):
+    labels = association.labels.copy()
+    for index, extent in enumerate(tally(association)[0]):
         own = np.flatnonzero(labels == index)
-        bins = np.floor(found.along[own] / BIN).astype(np.int64) - extent.low
+        bins = np.floor(association.along[own] / BIN).astype(np.int64) - extent.low
         hits, misses = extent.counted[:, bins]
         labels[own[misses > THROUGH_TOLERANCE * hits]] = -1
-    return found if np.array_equal(labels, found.labels) else relabelled(found, labels)
+    return (
+        association
+        if np.array_equal(labels, association.labels)
+        else relabelled(association, labels)
+    )
 
 
-def contradictions(found: Association) -> float:
+def contradictions(association: Association) -> float:
     """Share of the looks that pass through walls, without those that saw nothing and may be
     dropouts of the sensor, and without the beam that says most, which may be broken.
 
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
-    problem = found.problem
+    problem = association.problem
     looks = problem.looks
     beams = len(problem.robot.beams)
-    is_empty = np.zeros((len(found.state.flat_poses) + 2, beams), dtype=bool)
+    is_empty = np.zeros((len(association.state.flat_poses) + 2, beams), dtype=bool)
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
     own = looks.beams[counts]
-    against = np.bincount(own, tally(found, counts)[1], minlength=beams)
+    against = np.bincount(own, tally(association, counts)[1], minlength=beams)
     tested = np.bincount(own, minlength=beams)
     others = np.arange(beams) != against.argmax()
     return float(against[others].sum() / max(tested[others].sum(), 1))
 
 
-def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
+def smoothed_map(association: Association) -> tuple[list[Landmark], FloatArray]:
     """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the
     segments (k, 4), m.
 
@@ -111,17 +115,17 @@ def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
     segments = [np.zeros((0, 4))]
     landmarks = []
     count = 0
-    lines, covariances = world_lines(found)
-    for index, extent in enumerate(tally(found)[0]):
-        own = found.along[found.labels == index]
+    lines, covariances = world_lines(association)
+    for index, extent in enumerate(tally(association)[0]):
+        own = association.along[association.labels == index]
         pieces = drawn_pieces(extent)
         within = (own[:, None] >= pieces[:, 0]) & (own[:, None] <= pieces[:, 1])
         # Many beams that end at one point show no wall.
         pieces = pieces[(within.sum(axis=0) >= FEWEST) & (np.ptp(pieces, axis=1) >= BIN)]
         if not len(pieces):
             continue
-        line = found.state.lines[index]
-        foot = found.state.anchors[index] + line[0] * normal(line)
+        line = association.state.lines[index]
+        foot = association.state.anchors[index] + line[0] * normal(line)
         segments.append((foot + pieces[..., None] * direction(line)).reshape(-1, 4))
         ends = foot + np.array([[own.min()], [own.max()]]) * direction(line)
         rows = tuple(range(count, count + len(pieces)))
@@ -131,14 +135,14 @@ def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
     return landmarks, np.concatenate(segments)
 
 
-def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
+def world_lines(association: Association) -> tuple[FloatArray, FloatArray]:
     """Lines (m, 2) as (r, theta) about the world's origin, and their covariances (m, 2, 2)."""
-    state = found.state
+    state = association.state
     lines = state.lines.copy()
     lever = np.sum(direction(lines) * state.anchors, axis=1)
     lines[:, 0] += np.sum(normal(lines) * state.anchors, axis=1)
     count = len(lines)
-    joint = found.solution.of_lines.reshape(count, 2, count, 2)
+    joint = association.solution.of_lines.reshape(count, 2, count, 2)
     blocks = joint[np.arange(count), :, np.arange(count)]
     jacobians = np.tile(np.eye(2), (count, 1, 1))
     jacobians[:, 0, 1] = lever

@@ -53,13 +53,13 @@ def renewed(
         last pose; and all poses of the stretch (t, 3). None if the stretch cannot be smoothed, or
         if its beams contradict the result.
     """
-    found = settle(stretch, config)
-    if found is None or contradictions(found) > _CONTRADICTED:
+    association = settle(stretch, config)
+    if association is None or contradictions(association) > _CONTRADICTED:
         return None
     # A wall has some errors in each stretch again, which are about as large as that of a range.
-    aged = _aged(start, found.problem.range_std)
-    labels = filter_labels(found.problem, stretch)
-    return _joined(aged, found, labels), found.state.poses[0]
+    aged = _aged(start, association.problem.range_std)
+    labels = filter_labels(association.problem, stretch)
+    return _joined(aged, association, labels), association.state.poses[0]
 
 
 def _aged(state: MapState, end_std: float) -> MapState:
@@ -71,20 +71,22 @@ def _aged(state: MapState, end_std: float) -> MapState:
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
 
 
-def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
+def _joined(start: MapState, association: Association, labels: IntArray) -> MapState:
     """The map from before, and the walls and the last pose of a stretch, with their joint
     covariance.
 
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or
     -1.
     """
-    state = found.state
-    solution = found.solution
+    state = association.state
+    solution = association.solution
     extents = {
-        index: extent for index, extent in enumerate(tally(found)[0]) if len(drawn_pieces(extent))
+        index: extent
+        for index, extent in enumerate(tally(association)[0])
+        if len(drawn_pieces(extent))
     }
     kept = np.array(list(extents), dtype=int)
-    counts = np.bincount(found.labels + 1)[1:]
+    counts = np.bincount(association.labels + 1)[1:]
     lines = state.lines[kept]
     anchors = state.anchors[kept]
     last = state.poses[0, -1]
@@ -117,7 +119,7 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
                     extents[index],
                     1,
                     int(counts[index]),
-                    known_as=_most_frequent(labels[found.labels == index]),
+                    known_as=_most_frequent(labels[association.labels == index]),
                 )
                 for index in kept.tolist()
             ),

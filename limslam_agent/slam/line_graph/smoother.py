@@ -46,8 +46,8 @@ def smooth_run(
     there on, the poses are those of the filter.
     """
     run = run.synchronous
-    found = settle(run.until(unplaced), config or SmootherConfig())
-    return None if found is None else _smoothed(found, run)
+    association = settle(run.until(unplaced), config or SmootherConfig())
+    return None if association is None else _smoothed(association, run)
 
 
 def smooth_with_unknown_start(
@@ -61,14 +61,12 @@ def smooth_with_unknown_start(
     """
     usable = run.usable.copy()
     usable[0, 1] = False
-    found = smooth_run(replace(run, usable=usable, breaks=(*run.breaks, (1, 1))), config)
-    if found is not None:
+    smoothed = smooth_run(replace(run, usable=usable, breaks=(*run.breaks, (1, 1))), config)
+    if smoothed is not None:
         motion = compose(inverse(run.poses[1, 1]), run.poses[0, 1])
-        found.poses[0, 1], found.covariances[0, 1] = (
-            compose(found.poses[1, 1], motion),
-            found.covariances[1, 1],
-        )
-    return found
+        smoothed.poses[0, 1] = compose(smoothed.poses[1, 1], motion)
+        smoothed.covariances[0, 1] = smoothed.covariances[1, 1]
+    return smoothed
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
@@ -91,17 +89,19 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     return best
 
 
-def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray) -> Association:
+def _calibrated_if_needed(
+    association: Association, run: FilteredRun, labels: IntArray
+) -> Association:
     """The solution with constant errors of wheels, axle and ranges if these are significant, before
     and after it.
     """
-    sized = _calibrated(found.problem)
+    sized = _calibrated(association.problem)
     if sized.sensor.scale_std:  # the size of the whole map is unknown, too
-        return reassociate(sized, found.state, labels)
-    if not _has_errors(sized, solve(sized, found.state, found.labels)):
-        return found
+        return reassociate(sized, association.state, labels)
+    if not _has_errors(sized, solve(sized, association.state, association.labels)):
+        return association
     again = lasting(reassociate(sized, state_from_poses(run.poses), labels))
-    return again if _has_errors(sized, again.solution) else found
+    return again if _has_errors(sized, again.solution) else association
 
 
 def _has_errors(problem: Problem, solution: Solution) -> bool:
@@ -140,17 +140,19 @@ def filter_labels(problem: Problem, run: FilteredRun) -> IntArray:
     return np.asarray(table[problem.readings.places, problem.readings.beams])
 
 
-def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
-    problem = found.problem
-    covariances = np.moveaxis(found.solution.of_poses + problem.jitters(found.state), 0, 1)
-    state = where_read(problem, found.state, found.labels)
-    found = replace(found, solution=replace(found.solution, state=state))
+def _smoothed(association: Association, run: FilteredRun) -> SmoothedRun:
+    problem = association.problem
+    covariances = np.moveaxis(
+        association.solution.of_poses + problem.jitters(association.state), 0, 1
+    )
+    state = where_read(problem, association.state, association.labels)
+    association = replace(association, solution=replace(association.solution, state=state))
     poses = np.moveaxis(state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
-    landmarks, segments = smoothed_map(found)
+    landmarks, segments = smoothed_map(association)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     sensor = problem.sensor
-    calibration = np.add(found.state.calibration, (0.0, 0.0, 0.0, sensor.bias, sensor.scale))
+    calibration = np.add(association.state.calibration, (0.0, 0.0, 0.0, sensor.bias, sensor.scale))
     sensors = [sensor._replace(bias=bias, scale=scale) for *_, bias, scale in calibration.tolist()]
     ranges = [own.corrected(run.ranges[:, number], run.robot) for number, own in enumerate(sensors)]
     return SmoothedRun(
@@ -160,24 +162,24 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
         covariances=np.concatenate((covariances, run.covariances[len(poses) :])),
         landmarks=landmarks,
         segments=segments,
-        associations=_associations(found, landmarks, run.first_step),
+        associations=_associations(association, landmarks, run.first_step),
         calibration=calibration
         if problem.prior is not None or sensor.bias or sensor.scale
         else None,
-        contradictions=contradictions(found),
+        contradictions=contradictions(association),
         robot=problem.robot,
     )
 
 
 def _associations(
-    found: Association, landmarks: list[Landmark], first_step: int
+    association: Association, landmarks: list[Landmark], first_step: int
 ) -> list[AssociationRecord]:
-    problem = found.problem
-    readings = found.problem.readings
+    problem = association.problem
+    readings = association.problem.readings
     records = []
     for number, mark in enumerate(landmarks):
         for robot in range(len(problem.starts)):
-            own = (found.labels == mark.number) & (readings.places // problem.steps == robot)
+            own = (association.labels == mark.number) & (readings.places // problem.steps == robot)
             rows = np.column_stack(
                 (readings.places[own] % problem.steps + first_step, readings.beams[own])
             )
