@@ -38,7 +38,8 @@ class Overlay:
     >>> from limslam_env import Overlay
     >>> env = gym.make("LimSlam-Env1-v0", render_mode="rgb_array")
     >>> _, info = env.reset(seed=0)
-    >>> env.unwrapped.overlay = Overlay(pose=info["pose"], segments=np.array([[0.0, 0.0, 7.0, 0.0]]))
+    >>> walls = np.array([[0.0, 0.0, 7.0, 0.0]])
+    >>> env.unwrapped.overlay = Overlay(pose=info["pose"], segments=walls)
     >>> env.render().shape
     (640, 640, 3)
     """
