@@ -20,7 +20,7 @@ from limslam_agent.kernels.algebra import (
     quantile,
     whiten,
 )
-from limslam_agent.kernels.beams import end_of_ray, line_about, predict_ranges, ray_from
+from limslam_agent.kernels.beams import end_on_wall, line_about, predict_ranges
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import clones_from, dense_block
 from limslam_agent.kernels.lines import fit_line
@@ -141,8 +141,8 @@ def fit_segment(
     sin = math.sin(theta)
     for i in range(len(places)):
         at = start + POSE * places[i]
-        ray = ray_from((x[at], x[at + 1], x[at + 2]), rows[i], (cos, sin))
-        hit_x, hit_y = end_of_ray(ray, reaches[i])
+        pose = (x[at], x[at + 1], x[at + 2])
+        hit_x, hit_y = end_on_wall(pose, rows[i], (cos, sin), reaches[i])
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
     ordered = np.sort(along[clear])
     cosines = expected[:, 6].copy()
