@@ -281,7 +281,13 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
     angles = np.radians(events.first.angles)
     beams = _beams(angles, mount, max_range)
     return pose_log(
-        beams, time[kept] + shifted, odometry[kept], ranges[kept], has_scan[kept], None, notes, gaps
+        beams,
+        time[kept] + shifted,
+        odometry[kept],
+        notes=notes,
+        ranges=ranges[kept],
+        has_scan=has_scan[kept],
+        gaps=tuple(gaps),
     )
 
 

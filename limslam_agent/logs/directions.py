@@ -3,6 +3,11 @@
 import math
 import re
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from limslam_env.geometry import FloatArray
+
 _WAYS = {
     0.0: ("front", "ahead", "forward", "fwd", "f"),
     90.0: ("left", "l"),
@@ -56,6 +61,11 @@ def direction_of(name: str) -> float | None:
     y = sum(math.sin(math.radians(degrees)) for degrees in named)
     # Opposite words cancel each other out.
     return round(math.degrees(math.atan2(y, x)), 6) if math.hypot(x, y) > 0.5 else None
+
+
+def apart(angles: ArrayLike, wanted: float) -> FloatArray:
+    """How far angles (n,) are from a wanted one, deg, from 0 to 180."""
+    return np.asarray(np.abs((np.asarray(angles) - wanted + 180.0) % 360.0 - 180.0))
 
 
 def degrees_of(text: str) -> float:

@@ -120,10 +120,10 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
         plan.beams,
         time[kept],
         odometry[kept],
-        ranges[kept],
-        np.ones(int(kept.sum()), dtype=np.bool_),
         notes=(*stream.notes, *silent.notes(time)),
-        gaps=silent.events_after(time[kept]),
+        ranges=ranges[kept],
+        has_scan=np.ones(int(kept.sum()), dtype=np.bool_),
+        gaps=tuple(silent.events_after(time[kept])),
     )
 
 

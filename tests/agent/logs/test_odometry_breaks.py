@@ -31,7 +31,7 @@ def as_log(poses, time=TIME):
     count = len(poses)
     ranges = np.full((count, 2), 2.0)
     beams = [beam(angle, 5.0) for angle in (0.0, 1.0)]
-    return pose_log(beams, time, poses, ranges, np.ones(count, dtype=bool))
+    return pose_log(beams, time, poses, ranges=ranges, has_scan=np.ones(count, dtype=bool))
 
 
 def moved_from(poses, row, motion):
