@@ -86,6 +86,8 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
+    "limslam_agent.terminal": env("messages"),
+    "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
@@ -99,20 +101,16 @@ AGENT = {
         *env("compilation"),
         *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
-    "limslam_agent.slam.least_squares": {GEOMETRY, *env("compilation")},
+    "limslam_agent.slam.graph": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("compilation"),
-        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
+        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.graph"),
     },
-    "limslam_agent.slam.graph": {
+    "limslam_agent.slam.map_graph": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("compilation"),
-        *agent("config", "kernels", "slam.least_squares"),
-    },
-    "limslam_agent.slam.online_graph": {
-        *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.graph", "slam.least_squares"),
+        *agent("config", "kernels", "slam.graph"),
     },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
@@ -169,23 +167,23 @@ AGENT = {
         *agent(
             "config",
             "slam.core",
-            "slam.graph",
             "slam.line_graph",
+            "slam.map_graph",
             "grid",
             "logs",
             "mapping",
             "output",
             "places",
         ),
-        *agent("slam.online_graph", "status"),
+        *agent("status"),
     },
     "limslam_agent.two_logs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
             "config",
             "slam.core",
-            "slam.graph",
             "slam.line_graph",
+            "slam.map_graph",
             "grid",
             "kernels",
             "logs",
@@ -252,8 +250,8 @@ COMPILED = {
     "limslam_agent.kernels",
     "limslam_agent.slam.batch",
     "limslam_agent.slam.graph",
-    "limslam_agent.slam.least_squares",
     "limslam_agent.slam.line_graph",
+    "limslam_agent.slam.map_graph",
 }
 SEEDED = {
     "default_rng",
@@ -265,7 +263,6 @@ SEEDED = {
     "Philox",
     "SFC64",
 }
-LONGEST_FILE = 520
 
 
 def modules_of(top: str) -> dict[str, Path]:
@@ -310,14 +307,20 @@ def imports(path: Path) -> frozenset[str]:
     return frozenset(found)
 
 
-def place_of(name: str) -> str:
-    """The package that a module or a name in it belongs to; of modules beside the packages, the
-    module itself.
-    """
+def module_of(name: str) -> str:
+    """The module that a name belongs to."""
     asked = name
     while name not in MODULES:
         name, dot, _ = name.rpartition(".")
         assert dot, f"{asked} is neither a module of the project nor a name in one"
+    return name
+
+
+def place_of(name: str) -> str:
+    """The package that a module or a name in it belongs to; of modules beside the packages, the
+    module itself.
+    """
+    name = module_of(name)
     if name in PACKAGES or name.count(".") == 1:
         return name
     return name.rpartition(".")[0]
@@ -363,6 +366,30 @@ def test_no_package_is_in_an_import_circle():
         leaves = {place for place, others in graph.items() if not others & set(graph)}
         assert leaves, f"these import each other: {sorted(graph)}"
         graph = {place: others for place, others in graph.items() if place not in leaves}
+
+
+# The listener of an association takes the estimator that makes it.
+IN_A_CIRCLE = {"association", "consistent", "merging", "reports"}
+
+
+def modules_imported(name: str) -> set[str]:
+    """The files of the project that a file imports. The two packages load on demand what users ask
+    for.
+    """
+    if name in {"limslam_env", "limslam_agent"}:
+        return set()
+    own = {full for full in imports(MODULES[name]) if full.split(".")[0] in TOPS}
+    return {module_of(full) for full in own} - {name}
+
+
+def test_no_file_is_in_an_import_circle():
+    graph = {name: modules_imported(name) for name in MODULES}
+    while leaves := {name for name, others in graph.items() if not others & set(graph)}:
+        graph = {name: others for name, others in graph.items() if name not in leaves}
+    while unused := set(graph) - set().union(*graph.values()):
+        graph = {name: others for name, others in graph.items() if name not in unused}
+    known = {f"limslam_agent.slam.consistent.{name}" for name in IN_A_CIRCLE}
+    assert set(graph) - known == set()
 
 
 @pytest.mark.parametrize(
@@ -417,14 +444,6 @@ def test_random_numbers_come_from_seeded_generators(place):
         assert not unseeded, name
 
 
-@pytest.mark.parametrize("place", PLACES)
-def test_no_file_is_too_long(place):
-    lengths = {
-        name: len(MODULES[name].read_text(encoding="utf-8").splitlines()) for name in PLACES[place]
-    }
-    assert {name: length for name, length in lengths.items() if length > LONGEST_FILE} == {}
-
-
 def loaded_by(names: list[str], suspects: set[str]) -> set[str]:
     """Which of the suspects a new interpreter has loaded after importing modules."""
     lines = [
@@ -461,7 +480,6 @@ def test_importing_the_agent_loads_no_simulator():
         "limslam_agent.slam.consistent.merging",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.two_logs"],
-        *PLACES["limslam_agent.slam.online_graph"],
     ]
     replay = ("smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
@@ -479,46 +497,3 @@ def test_the_suspects_would_be_noticed():
 
 def test_only_the_published_estimator_loads_filterpy():
     assert loaded_by(["limslam_agent.mapping.mapper"], {"filterpy", "scipy.stats"}) == set()
-
-
-ROOT = Path(__file__).parents[1]
-NOT_COUNTED = ("limslam_env/kernels/", "limslam_agent/slam/batch/")
-LONGEST = 60
-
-
-def functions_of(top: str) -> dict[str, int]:
-    """Functions outside compiled kernels, by file and name, and the lines of their bodies."""
-    found = {}
-    for path in sorted((ROOT / top).rglob("*.py")):
-        name = path.relative_to(ROOT).as_posix()
-        if name.startswith(NOT_COUNTED):
-            continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                found[f"{name}:{node.name}:{node.lineno}"] = lines_of(node)
-    return found
-
-
-def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    """Lines of a function's body. Signatures declare, like the options of a command, and are not
-    counted.
-    """
-    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
-    return body[-1].end_lineno - body[0].lineno + 1 if body else 0
-
-
-@pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
-def test_no_function_is_longer_than_a_screen(top):
-    if not (ROOT / top).is_dir():
-        pytest.skip("there is only the installed package")
-    functions = functions_of(top)
-    assert len(functions) > 100
-    assert {name: length for name, length in functions.items() if length > LONGEST} == {}
-
-
-def test_signature_and_docstring_do_not_count():
-    tree = ast.parse(
-        'def function(\n    value,\n):\n    """One.\n\n    Two.\n    """\n    value += 1\n    '
-        "return value\n"
-    )
-    assert lines_of(tree.body[0]) == 2

@@ -19,7 +19,7 @@ from limslam_agent.slam.core.diagnostics import (
     Extraction,
 )
 from limslam_agent.slam.core.line_fit import bin_size
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray
 
@@ -58,7 +58,7 @@ class EventLog:
         self._places = 0
         self._goals = np.full((len(mapper.poses), 2), np.nan)
         self._levels = [0] * len(mapper.poses)
-        self._slam: LineSlam | None = None
+        self._slam: Estimator | None = None
         self._listen()
 
     def note(self, goals: FloatArray) -> None:
@@ -156,7 +156,7 @@ class EventLog:
         self.events.append(event)
         return event
 
-    def _look_at(self, slam: LineSlam) -> None:
+    def _look_at(self, slam: Estimator) -> None:
         """Note a new extraction, and the loops that were closed."""
         last = slam.last_extraction
         hough = slam.config.estimator.hough
@@ -228,7 +228,7 @@ def _extraction_event(extraction: Extraction, threshold: int, r_step: float) -> 
     }
 
 
-def _comparison_event(comparison: Comparison, slam: LineSlam) -> Event:
+def _comparison_event(comparison: Comparison, slam: Estimator) -> Event:
     """An observed line with the landmarks that it was compared with, and the pose before it is
     used.
     """
@@ -246,7 +246,7 @@ def _comparison_event(comparison: Comparison, slam: LineSlam) -> Event:
     }
 
 
-def _correct(event: Event, record: AssociationRecord, slam: LineSlam) -> None:
+def _correct(event: Event, record: AssociationRecord, slam: Estimator) -> None:
     """Change the event of a comparison into the one of the association that followed, with the pose
     after it.
     """

@@ -14,7 +14,7 @@ from limslam_agent.inspect.grid import GridChanges, frontiers_of
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
 from limslam_agent.slam.core.diagnostics import PendingPoints
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.se2 import wrap_angle
@@ -241,7 +241,7 @@ class Recorder:
         whole = np.clip(np.rint(np.nan_to_num(some) * _MM), 1, 65534)
         return np.where(np.isnan(some), 0, np.where(some >= most, 65535, whole)).astype(np.uint16)
 
-    def _keep_buffers(self, slam: LineSlam) -> None:
+    def _keep_buffers(self, slam: Estimator) -> None:
         """Keep the pending points, and of each buffer: its robot, its side, its points, new ones,
         and its size.
         """
@@ -260,7 +260,7 @@ class Recorder:
         )
         self._pending.add(np.concatenate([each.points.reshape(-1, 2) for each in buffers]))
 
-    def _keep_map(self, slam: LineSlam) -> None:
+    def _keep_map(self, slam: Estimator) -> None:
         """Keep walls and landmarks where they have changed since the last frame."""
         every = slam.all_landmarks
         walls = slam.segments

@@ -12,7 +12,7 @@ from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import Extraction
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator, is_renewable
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.rays import Sight
@@ -45,7 +45,7 @@ class FrameMapper:
 
     def __init__(
         self,
-        slam: LineSlam,
+        slam: Estimator,
         grid: OccupancyGrid,
         config: AgentConfig,
         drawers: Sequence[ReadingDrawer] = (),
@@ -55,7 +55,7 @@ class FrameMapper:
         self._config = config
         self.slam_ms = 0.0
         self.drawers = drawers or self._new_drawers()
-        self._places = slam.range_sensor.places
+        self._places = slam.sensor.places
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -67,7 +67,7 @@ class FrameMapper:
     def reset_monitors(self) -> None:
         """Forget all doubts about the estimates so far."""
         slam = self.slam
-        self.monitors = [StatusMonitor(slam.robot, slam.range_sensor) for _ in slam.robots]
+        self.monitors = [StatusMonitor(slam.robot, slam.sensor) for _ in slam.robots]
 
     def process(
         self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True
@@ -103,7 +103,7 @@ class FrameMapper:
             for monitor in self.monitors:
                 monitor.forget_map()
         known = self.monitors[0].sensor
-        sensor = self.slam.range_sensor
+        sensor = self.slam.sensor
         if sensor.places != self._places:
             self._places, self.drawers = sensor.places, self._new_drawers()
             self.grid = self.renewal.draw_again()
@@ -147,13 +147,11 @@ class FrameMapper:
         front = self.slam.robots[number]
         sight = Sight.of(front, slam.poses[number], slam.increments[number], observation)
         if monitor.observe(sight, is_busy=is_busy):
-            monitor.sensor = slam.range_sensor
+            monitor.sensor = slam.sensor
             counts = self._config.free_space_counts
-            known = KnownMap(
-                slam.segments, self.grid.view, slam.range_sensor, free_space_counts=counts
-            )
+            known = KnownMap(slam.segments, self.grid.view, slam.sensor, free_space_counts=counts)
             monitor.check(slam.covariances[number], known)
-            if monitor.broken is not None and slam.is_renewable:
+            if monitor.broken is not None and is_renewable(slam):
                 slam.leave_out(monitor.broken)
 
     def _renew(self, observation: Observation, *, may_renew: bool) -> bool:

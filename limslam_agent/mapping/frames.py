@@ -13,7 +13,13 @@ from limslam_agent.places.absence import Placement, StepLog
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import Revision, Unplaced
 from limslam_agent.slam.core.motion import OdometryCalibration
-from limslam_agent.slam.slam import LineSlam, RangeSensor
+from limslam_agent.slam.slam import (
+    ConsistentEstimator,
+    Estimator,
+    LineSlam,
+    RangeSensor,
+    is_renewable,
+)
 from limslam_agent.status.monitor import Loss
 from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
@@ -50,7 +56,7 @@ class Frames:
         self.robot = robot
         self.config = config
 
-    def _begin(self, slam: LineSlam) -> None:
+    def _begin(self, slam: Estimator) -> None:
         """Begin with an empty map in the first frame."""
         self._present = FrameMapper(slam, OccupancyGrid(self.config.grid), self.config)
         self.frame = self.map_number = self._own_map = self._maps = 0
@@ -59,13 +65,20 @@ class Frames:
         self._unplaced: Unplaced | None = None
 
     @property
-    def slam(self) -> LineSlam:
+    def slam(self) -> Estimator:
         """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame
         has another SLAM.
         """
         return self._present.slam
 
-    def _found(self) -> tuple[RangeSensor | None, list[bool], list[list[float]]]:
+    @property
+    def _followed(self) -> ConsistentEstimator:
+        """The SLAM of a robot that finds its place again when it is lost."""
+        slam = self.slam
+        assert is_renewable(slam)  # noqa: S101 (no other one is followed)
+        return slam
+
+    def _found(self) -> tuple[RangeSensor, list[bool], list[list[float]]]:
         """The sensor as it is known now, whether sizes of wheels and axle of each robot are
         corrected, and for how many steps its beams repeat their readings.
 
@@ -78,19 +91,20 @@ class Frames:
         ]
         return slam.sensor, is_calibrated, [front.holds for front in slam.robots]
 
-    def _slam_at(self, starts: FloatArray) -> LineSlam:
+    def _slam_at(self, starts: FloatArray) -> Estimator:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and
         sensor.
         """
         sensor, is_calibrated, _ = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
         slam = LineSlam(self.robot, config, starts, sensor)
-        slam.know_repeats(self.slam)
-        if slam.range_sensor.delay:  # it cannot find them in travel that waits
-            slam.ticks = self.slam.ticks.copy()
+        for front, known in zip(slam.robots, self.slam.robots, strict=False):
+            front.know_repeats(known)
+            if sensor.delay:  # it cannot find them in travel that waits
+                front.ticks = known.ticks
         return slam
 
-    def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
+    def _use(self, slam: Estimator, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame, with what is known of odometry and
         sensor.
         """
@@ -132,9 +146,9 @@ class Frames:
         again.
         """
         own = self._present.monitors[0]
-        sensor = self.slam.range_sensor
+        sensor = self.slam.sensor
         step = Sight.of(self.slam.robots[0], self.slam.pose, motion, observation)
-        recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
+        recovery.note(step, self._followed, self._present.grid, is_suspicious=own.is_suspicious)
         if recovery.is_too_long:
             self._own_map = self.map_number
             recovery.stay()
@@ -142,7 +156,7 @@ class Frames:
             self._present.reset_monitors()
         elif own.loss is not None:
             self._lose(recovery, own.loss, own.jump)
-        elif found := recovery.seek_elsewhere(own, self.slam, self._present.grid):
+        elif found := recovery.seek_elsewhere(own, self._followed, self._present.grid):
             self._go_on_at(recovery, found)
         elif recovery.is_due():
             if recovery.is_lost:
@@ -152,7 +166,7 @@ class Frames:
             elif recovery.is_refuted(sensor):
                 self._lose(recovery, WRONG_PLACE, 0.0)
             else:
-                recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
+                recovery.confirm(own.by_readings, self._followed, self._present.grid.view)
 
     def _lose(self, recovery: Recovery, loss: Loss, jump: float) -> None:
         """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local
@@ -163,10 +177,10 @@ class Frames:
         known = None if recovery.is_lost else loss.known
         if recovery.may_be_wrong and known is None:
             self._revisions.pop()  # the place that was found was wrong
-        recovery.lose(loss, jump, self.slam, self._present.grid)
+        recovery.lose(loss, jump, self._followed, self._present.grid)
         found: Placement | None = None
         if recovery.may_have_drifted:
-            found = recovery.seek_near(known, self.slam.range_sensor)
+            found = recovery.seek_near(known, self.slam.sensor)
             if found is None and self._go_on_renewed(recovery):
                 return
         if found is None:
@@ -185,8 +199,10 @@ class Frames:
         assert absence is not None  # noqa: S101 (the robot is lost)
         is_anew = recovery.begin_anew()
         slam = self._slam_at(log[absence.first - 1].pose)
-        if absence.known is not None and absence.known.slam.odometry_calibrations[0] is not None:
-            slam.calibrate(absence.known.slam.odometry_calibrations[0])
+        if absence.known is not None and is_renewable(slam):
+            calibration = absence.known.slam.odometry_calibrations[0]
+            if calibration is not None:
+                slam.calibrate(calibration)
         self._use(slam, OccupancyGrid(self.config.grid))
         self._number_map(is_own=is_anew)
         self.slam.robots[0].step = absence.first - 1
@@ -212,7 +228,7 @@ class Frames:
             self._revisions.append(
                 Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances))
             )
-            recovery.has_been_renewed(poses, self.slam, self._present.grid)
+            recovery.has_been_renewed(poses, self._followed, self._present.grid)
         return is_renewed
 
     def _go_on_at(self, recovery: Recovery, found: Placement) -> None:
@@ -223,7 +239,7 @@ class Frames:
         self._use(*absence.known.copied())
         self.slam.robots[0].step = log.begin - 1
         before = self._replay(log, log.begin, found.step)
-        found, closed = found.put(self.slam, self._present.grid)
+        found, closed = found.put(self._followed, self._present.grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with
         # that motion can be smoothed.
         self._present.begin_anew()
@@ -247,7 +263,7 @@ class Frames:
         pose = self.slam.pose
         covariance = self.slam.covariance
         self._use(*absence.known.copied())
-        self.slam.relocate(pose, covariance)
+        self._followed.relocate(pose, covariance)
         recovery.note_event("not found", step=recovery.log.end - 1)
 
     def _revise(self, first: Revision, second: Revision) -> None:

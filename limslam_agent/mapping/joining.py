@@ -21,7 +21,7 @@ from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.core.motion import unknown_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator, Estimator
 from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
@@ -147,7 +147,7 @@ class JoiningMapper(Mapper):
         self._unplaced = Unplaced(0, other.slam.segments, other.slam.landmarks, other.grid)
 
     @property
-    def slam(self) -> LineSlam:
+    def slam(self) -> Estimator:
         """The SLAM that the robots share; that of the first robot while they are apart."""
         return self._alone[0].slam if self.is_apart else super().slam
 
@@ -261,7 +261,7 @@ class JoiningMapper(Mapper):
             self._join(frame)
 
     @property
-    def _own_maps(self) -> list[tuple[LineSlam, GridView]]:
+    def _own_maps(self) -> list[tuple[Estimator, GridView]]:
         return [(mapper.slam, mapper.grid) for mapper in self._alone]
 
     @property
@@ -290,6 +290,7 @@ class JoiningMapper(Mapper):
         poses = smoothed.poses
         start = smoothed.poses[0, 1]
         slam = self._slam_at(poses[-1])
+        assert isinstance(slam, ConsistentEstimator)  # noqa: S101 (others are not joined)
         slam.know(smoothed.landmarks, smoothed.segments)
         slam.associations.extend(smoothed.associations)
         for number, front in enumerate(slam.robots):
@@ -300,7 +301,8 @@ class JoiningMapper(Mapper):
         is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
         self._use(slam, grid)
-        slam.ticks[:] = [mapper.slam.ticks[0] for mapper in self._alone]
+        for front, mapper in zip(slam.robots, self._alone, strict=True):
+            front.ticks = mapper.slam.robots[0].ticks
         self._waiting = WaitingTravel(2, self.robot)
         odometry = np.array([row[2] for row in self._rows])
         odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])
@@ -353,7 +355,7 @@ class JoiningMapper(Mapper):
         """
         own_maps = [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps
         grid = self.grid
-        shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
+        shared = KnownPlaces(self.slam.segments, grid, self.slam.sensor)
         is_complete = not leads_to_unseen(
             grid, self.poses[0], self.config.policy.min_frontier
         ).any()

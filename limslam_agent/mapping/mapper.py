@@ -24,7 +24,7 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator, Estimator, LineSlam
 from limslam_agent.status.chance import LIMIT
 from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
@@ -154,7 +154,7 @@ class Mapper(Frames):
         self._restarts = 0
         self._start_at(starts, LineSlam(self.robot, self.config, starts))
 
-    def _start_at(self, starts: FloatArray, slam: LineSlam) -> None:
+    def _start_at(self, starts: FloatArray, slam: Estimator) -> None:
         """Begin at known poses (n, 3) with an empty map."""
         self._starts = starts
         self._is_finished = False
@@ -186,11 +186,12 @@ class Mapper(Frames):
         ):  # the SLAM checks their number
             self.check(observation, front)
         told = copied(observations)
-        observations = tuple(self._waiting.synchronous(told, self.slam.range_sensor.delay))
+        observations = tuple(self._waiting.synchronous(told, self.slam.sensor.delay))
         before = self.slam.last_extraction
         has_jumped = self._present.process(observations, self.frame)
-        if self.slam.last_extraction is not before:
-            self.slam.correct_delay()
+        slam = self.slam
+        if isinstance(slam, ConsistentEstimator) and slam.last_extraction is not before:
+            slam.correct_delay()
         self.slam_ms, motions = self._present.slam_ms, self.slam.increments
         if has_jumped:
             self.frame += 1
@@ -233,7 +234,7 @@ class Mapper(Frames):
         elif self._recovery is not None and self._recovery.is_placed:
             # The run may have ended because nothing is left to see, between two looks at the place.
             self._recovery.confirm(
-                self._present.monitors[0].by_readings, self.slam, self._present.grid.view
+                self._present.monitors[0].by_readings, self._followed, self._present.grid.view
             )
         self.slam.finish()
 
@@ -348,22 +349,22 @@ class Mapper(Frames):
         """
         if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
+        slam = self.slam
+        if not isinstance(slam, ConsistentEstimator):
+            return False
         before = self._known
         self._known = self._found()
         sensor = self._known[0]
         reach = self.robot.reach
-        if sensor is None:
-            return False
-        if before[0] is not None:
-            ratio = sensor.usual_std(reach) / before[0].usual_std(reach)
-            if max(ratio, 1.0 / ratio) < _SAME_NOISE:
-                sensor = sensor._replace(std=before[0].std, growth=before[0].growth)
-                self._known = sensor, *self._known[1:]
+        ratio = sensor.usual_std(reach) / before[0].usual_std(reach)
+        if max(ratio, 1.0 / ratio) < _SAME_NOISE:
+            sensor = sensor._replace(std=before[0].std, growth=before[0].growth)
+            self._known = sensor, *self._known[1:]
         self._first_steps.append(observations)
         if self._known[2] != before[2]:
-            self.slam.forget_sensor()
+            slam.forget_sensor()
             self._restarts, self._known = 0, self._found()
-        if before[0] is not None and sensor.broken != before[0].broken:
+        if sensor.broken != before[0].broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
         return self._known != before and self._restarts < MOST_RESTARTS
 
@@ -401,11 +402,12 @@ class Mapper(Frames):
         if self._recovery is not None and self._recovery.records:
             lookup.end("the robot was lost before its place was found")
             return
-        found = lookup.seek(self._starts[0], self.slam.range_sensor)
+        found = lookup.seek(self._starts[0], self.slam.sensor)
         if found is None:
             return
         self.prior_frame = compose(found.pose, inverse(self._starts[0]))
         slam = self._slam_at(found.pose)
+        assert isinstance(slam, ConsistentEstimator)  # noqa: S101 (others look nothing up)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
         slam.relocate(found.pose, found.covariance, ends=wall_points(found.rays))
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))

@@ -5,6 +5,7 @@ drives on.
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.motion import unknown_of
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator, Estimator, is_renewable
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
 from limslam_agent.status.rays import Sight, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
@@ -57,8 +58,8 @@ class Renewal:
         Whether estimates of this SLAM can be renewed at all.
     """
 
-    def __init__(self, slam: LineSlam, config: AgentConfig, grid: OccupancyGrid) -> None:
-        self._slam = slam
+    def __init__(self, slam: Estimator, config: AgentConfig, grid: OccupancyGrid) -> None:
+        self._slam = cast(ConsistentEstimator, slam)  # others are not renewed
         self._config = config
         self.grid = grid
         self.has_jumped = False
@@ -73,7 +74,7 @@ class Renewal:
             0  # numbers of those before the stretch
         )
         wanted = config.renewal is not None and config.run_smoothing is not None
-        self.is_possible = wanted and slam.is_renewable
+        self.is_possible = wanted and is_renewable(slam)
 
     def note(self, observation: Observation) -> None:
         """Store an observation that the SLAM has just processed."""
@@ -168,18 +169,18 @@ class Renewal:
         grid.draw(
             self._slam.mounted,
             np.array(poses)[:, None],
-            self._slam.range_sensor.corrected(np.array(ranges), self._slam.robot)[:, None],
+            self._slam.sensor.corrected(np.array(ranges), self._slam.robot)[:, None],
             np.array(measured)[:, None],
         )
         return grid
 
-    def _fit(self, slam: LineSlam, grid: OccupancyGrid, poses: Sequence[FloatArray]) -> float:
+    def _fit(self, slam: Estimator, grid: OccupancyGrid, poses: Sequence[FloatArray]) -> float:
         """How well the latest readings, at poses (3,), fit a map: by the likelihood ratio of their
         contradictions.
 
         A stretch that was joined wrongly with the map from before passes through walls of that map.
         """
-        sensor = slam.range_sensor
+        sensor = slam.sensor
         _, ranges, measured, *_ = zip(*self._rows[1:], strict=True)
         steps = [
             Sight(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)
@@ -208,7 +209,7 @@ class Renewal:
             np.array(each) for each in zip(*self._rows, strict=True)
         )
         settings = self._config.run_smoothing
-        if settings is not None and self._slam.odometry_calibration is not None:
+        if settings is not None and self._slam.odometry_calibrations[0] is not None:
             settings = replace(settings, calibrate="always")
         if self._start is None or settings is None or np.abs(wheels[1:]).sum() < 2.0 * LEAST_DRIVEN:
             return None
@@ -227,7 +228,7 @@ class Renewal:
             closures=self._slam.closures[self._closures :],
             first_step=self._first_step,
             sensor=self._slam.sensor,
-            ticks=self._slam.ticks,
+            ticks=self._slam.robots[0].ticks[None],
             yaw=yaw[:, None],
             wheel_variances=unknown[:, None],
         )

@@ -15,7 +15,7 @@ from limslam_agent.mapping.mapper import Mapper, MapSnapshot
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.policies.policy import MapExplorer, Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator
 from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.numbers import check_count, floats
@@ -188,7 +188,7 @@ class LimSlamTeam:
         self.mapper.finish()
 
     @property
-    def slam(self) -> LineSlam:
+    def slam(self) -> Estimator:
         """The SLAM of the mapper."""
         return self.mapper.slam
 
@@ -343,7 +343,7 @@ class LimSlamAgent:
         return self._team.mapper
 
     @property
-    def slam(self) -> LineSlam:
+    def slam(self) -> Estimator:
         """The SLAM of the mapper."""
         return self._team.slam
 

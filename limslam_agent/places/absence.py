@@ -12,7 +12,7 @@ import numpy as np
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import KnownPlaces, PlaceSearch
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import Loss, covariance_of_lost
 from limslam_agent.status.rays import Sight, moved, step_rays, wall_points
@@ -90,7 +90,7 @@ class KnownFrame:
     """
 
     step: int
-    slam: LineSlam
+    slam: ConsistentEstimator
     grid: OccupancyGrid
 
     @property
@@ -109,7 +109,7 @@ class KnownFrame:
     @property
     def places(self) -> KnownPlaces:
         """The map of the frame, to be searched."""
-        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
+        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.sensor)
 
     def explains(self, frame: FloatArray, covariance: FloatArray, rays: FloatArray) -> bool:
         """Whether the covariance of the estimate explains that rays (n, 7) have moved it by a frame
@@ -117,12 +117,10 @@ class KnownFrame:
 
         ``covariance`` (3, 3) is that of the match.
         """
-        if not self.slam.is_renewable:
-            return False
         pose = compose(frame, self.slam.pose)
         return self.slam.map_state.closed(pose, covariance, wall_points(rays)) is not None
 
-    def copied(self) -> tuple[LineSlam, OccupancyGrid]:
+    def copied(self) -> tuple[ConsistentEstimator, OccupancyGrid]:
         """SLAM and grid to go on with."""
         return self.slam.copied(), self.grid.copied()
 
@@ -238,7 +236,9 @@ class Placement(NamedTuple):
     rays: FloatArray
     has_drifted: bool = False
 
-    def put(self, slam: LineSlam, grid: OccupancyGrid) -> tuple["Placement", KnownPlaces | None]:
+    def put(
+        self, slam: ConsistentEstimator, grid: OccupancyGrid
+    ) -> tuple["Placement", KnownPlaces | None]:
         """Put the robot at its place in the known frame, and close a loop by it if it has drifted.
 
         Returns
@@ -248,17 +248,13 @@ class Placement(NamedTuple):
             placement as it was, and None.
         """
         ends = wall_points(self.rays)
-        bent = (
-            slam.close(self.pose, self.covariance, ends)
-            if self.has_drifted and slam.is_renewable
-            else None
-        )
+        bent = slam.close(self.pose, self.covariance, ends) if self.has_drifted else None
         if bent is None:
             slam.relocate(self.pose, self.covariance, ends=ends)
             return self, None
         grid.bend(*bent)
         rays = moved(self.rays, compose(slam.pose, inverse(self.pose)))
-        closed = KnownPlaces(slam.segments, grid.copied().view, slam.range_sensor)
+        closed = KnownPlaces(slam.segments, grid.copied().view, slam.sensor)
         return self._replace(pose=slam.pose, rays=rays), closed
 
 

@@ -20,7 +20,7 @@ from limslam_agent.places.localisation import (
 )
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import Estimator
 from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
 from limslam_agent.status.rays import STEPS, Sight, ends_of, moved, numbered_rays_of, rays_of
 from limslam_agent.status.status import Status
@@ -123,8 +123,8 @@ class _MapOfOther(KnownPlaces):
     ``met`` (n, 2) is where the robot was then, m.
     """
 
-    def __init__(self, slam: LineSlam, grid: GridView, rays: FloatArray, met: FloatArray) -> None:
-        super().__init__(slam.segments, grid, slam.range_sensor)
+    def __init__(self, slam: Estimator, grid: GridView, rays: FloatArray, met: FloatArray) -> None:
+        super().__init__(slam.segments, grid, slam.sensor)
         self.rays = rays
         self._met = met
 
@@ -186,7 +186,7 @@ class Meeting:
         """Whether the maps are to be compared now."""
         return self.is_open and self._driven >= FIRST and self._search.is_due
 
-    def seek(self, own_maps: Sequence[tuple[LineSlam, GridView]]) -> FloatArray | None:
+    def seek(self, own_maps: Sequence[tuple[Estimator, GridView]]) -> FloatArray | None:
         """Search the map of the first robot for the place of the second one.
 
         Returns
@@ -217,7 +217,7 @@ class Meeting:
 
     def objection(
         self,
-        own_maps: Sequence[tuple[LineSlam, GridView]],
+        own_maps: Sequence[tuple[Estimator, GridView]],
         shared: KnownPlaces,
         *,
         is_complete: bool,
@@ -253,11 +253,11 @@ class Meeting:
         self.records.append(self._record("not joined", reason=reason))
         self.is_open = False
 
-    def _maps(self, own_maps: Sequence[tuple[LineSlam, GridView]]) -> list[_MapOfOther]:
+    def _maps(self, own_maps: Sequence[tuple[Estimator, GridView]]) -> list[_MapOfOther]:
         """The map of each robot, with what the other one has read."""
         maps = []
         for (slam, grid), own, other in zip(own_maps, self.steps, self.steps[::-1], strict=True):
-            rays, numbers = numbered_rays_of(other[-STEPS:], self._robot, slam.range_sensor)
+            rays, numbers = numbered_rays_of(other[-STEPS:], self._robot, slam.sensor)
             met = np.array([step.pose[:2] for step in own[-STEPS:]])[numbers]
             maps.append(_MapOfOther(slam, grid, rays, met))
         return maps

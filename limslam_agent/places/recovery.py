@@ -40,7 +40,7 @@ from limslam_agent.places.localisation import (
 )
 from limslam_agent.places.revisions import BEGUN_ANEW, GIVEN_UP, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
+from limslam_agent.slam.slam import ConsistentEstimator
 from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import STEPS, Sight, moved, rays_of
@@ -149,7 +149,12 @@ class Recovery:
         return self._offset + self.absence.covariance_at(self.log.steps[-1].pose)
 
     def note(
-        self, step: Sight, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False
+        self,
+        step: Sight,
+        slam: ConsistentEstimator,
+        grid: OccupancyGrid,
+        *,
+        is_suspicious: bool = False,
     ) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
@@ -184,7 +189,9 @@ class Recovery:
         if self.absence is not None:
             self.absence.search.latest = None
 
-    def lose(self, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> Absence:
+    def lose(
+        self, loss: Loss, jump: float, slam: ConsistentEstimator, grid: OccupancyGrid
+    ) -> Absence:
         """The robot is lost, and the odometry has jumped by a distance, m.
 
         A robot whose place was found and is wrong goes back to the frame as it was before, and to
@@ -214,7 +221,7 @@ class Recovery:
         return before
 
     def _lost_from(
-        self, first: int, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid
+        self, first: int, loss: Loss, jump: float, slam: ConsistentEstimator, grid: OccupancyGrid
     ) -> Absence:
         """A robot that was lost at a step, from the latest frame before it.
 
@@ -326,7 +333,7 @@ class Recovery:
         return None if found is None else self._placement(absence, rays, found, sensor)
 
     def seek_elsewhere(
-        self, own: StatusMonitor, slam: LineSlam, grid: OccupancyGrid
+        self, own: StatusMonitor, slam: ConsistentEstimator, grid: OccupancyGrid
     ) -> Placement | None:
         """The placement of a robot that may have been carried away, if its readings since then fit
         at another place than the believed one, and there only.
@@ -334,7 +341,7 @@ class Recovery:
         Where the map of that time ends, readings near the believed pose decide nothing.
         """
         doubt = own.doubt
-        sensor = slam.range_sensor
+        sensor = slam.sensor
         if self.absence is not None or doubt is None or not doubt.is_carried:
             self._doubt = None
             return None
@@ -391,7 +398,7 @@ class Recovery:
         )
 
     def has_been_renewed(
-        self, poses: Sequence[FloatArray], slam: LineSlam, grid: OccupancyGrid
+        self, poses: Sequence[FloatArray], slam: ConsistentEstimator, grid: OccupancyGrid
     ) -> None:
         """A renewal has moved the latest steps of a lost robot to poses (3,), where its readings
         fit.
@@ -400,7 +407,7 @@ class Recovery:
         from before the doubt is kept until then.
         """
         self.move(poses)
-        renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
+        renewed = KnownPlaces(slam.segments, grid.view, slam.sensor)
         self.note_event("renewed", step=self.log.end - 1)
         self._return(np.empty((0, 7)), renewed, has_drifted=True)
 
@@ -452,7 +459,7 @@ class Recovery:
         self.absence.placed = placed._replace(at=self.absence.driven)
         return True
 
-    def confirm(self, own: Status, slam: LineSlam, grid: GridView) -> None:
+    def confirm(self, own: Status, slam: ConsistentEstimator, grid: GridView) -> None:
         """End an absence if nothing speaks against the place any more."""
         absence = self.absence
         assert absence is not None and absence.placed is not None  # noqa: PT018, S101 (a place is to be confirmed)
@@ -466,8 +473,8 @@ class Recovery:
                 and frontier_cells(grid, self._agent.policy.min_frontier).any()
             ):
                 return
-            rays = self._rays(absence, slam.range_sensor)
-            if other_place(KnownPlaces(slam.segments, grid, slam.range_sensor), rays):
+            rays = self._rays(absence, slam.sensor)
+            if other_place(KnownPlaces(slam.segments, grid, slam.sensor), rays):
                 return
         self.note_event("confirmed", step=self.log.end - 1)
         self.absence = None
@@ -477,7 +484,7 @@ class Recovery:
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         return rays if absence.placed is None else np.concatenate((absence.placed.rays, rays))
 
-    def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
+    def _copy(self, slam: ConsistentEstimator, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
     def _placement(

@@ -23,6 +23,7 @@ from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.front_end import yaw_of
+from limslam_agent.slam.slam import ConsistentEstimator
 from limslam_agent.status.status import LEVELS
 from limslam_env.bounds import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -116,7 +117,7 @@ def _episode(
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
         is_joined=not team.mapper.is_apart,
-        sensor=team.slam.sensor,
+        sensor=team.slam.sensor if isinstance(team.slam, ConsistentEstimator) else None,
         beam_turns=team.slam.beam_turns,
         **_in_one_frame(columns, team.mapper),
     )
@@ -138,7 +139,7 @@ def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
 
 def team_of(config: RunConfig, policies: Sequence[Policy] | None) -> LimSlamTeam:
     """The robots of a run, with the default policies if none are given."""
-    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
+    prior_map = None if config.map is None else read_saved_map(config.map)
     return LimSlamTeam(
         config.robot,
         config.agent,
@@ -156,7 +157,7 @@ def told_starts(config: RunConfig, true: FloatArray) -> FloatArray:
     told = np.array(true)
     if config.unknown_starts:
         told[1] = 0.0
-    if config.prior_map is not None:
+    if config.map is not None:
         told[:] = 0.0
     return told
 

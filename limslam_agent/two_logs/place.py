@@ -15,7 +15,7 @@ from limslam_agent.kernels.tables import RAY_TO_X, RAY_X
 from limslam_agent.places.localisation import LARGEST_RUNNER_UP, LEAD, KnownPlaces
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import AGREE_DISTANCE, AGREE_TURN
+from limslam_agent.slam.map_graph.agreement import AGREE_DISTANCE, AGREE_TURN
 from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import Sight, rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2

@@ -235,7 +235,7 @@ def test_beams_that_often_have_no_reading_are_not_left_out() -> None:
     for ranges, wheels in zip(np.where(SAW_NOTHING, NAN, RANGES), WHEELS, strict=True):
         mapper.step({"ranges": ranges, "wheels": wheels})
     mapper.finish()
-    assert mapper.slam.range_sensor.broken == ()
+    assert mapper.slam.sensor.broken == ()
     assert np.hypot(*(mapper.poses[0] - POSES[-1])[:2]) < 0.1
     assert mapper.statuses[0].level == "ok"
 

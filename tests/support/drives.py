@@ -10,6 +10,7 @@ import numpy as np
 
 from limslam_agent import AgentConfig, LineSlam
 from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.slam import Estimator
 from limslam_env import LimSlamEnv, NoiseConfig, Observation, RobotSpec, load_world
 from limslam_env.geometry import FloatArray, IntArray, se2, segment
 from limslam_env.interface import beams_on_rim
@@ -108,7 +109,7 @@ def recorded(
     config: AgentConfig,
     start: FloatArray,
     robot: RobotSpec = ROBOT,
-) -> tuple[LineSlam, list[AssociationRecord]]:
+) -> tuple[Estimator, list[AssociationRecord]]:
     """The mapping half during a drive, and what became of each observed line."""
     slam = LineSlam(robot, config, start)
     records = list[AssociationRecord]()
@@ -123,7 +124,7 @@ def slam_after(
     config: AgentConfig,
     start: FloatArray,
     robot: RobotSpec = ROBOT,
-) -> tuple[LineSlam, list[AssociationRecord]]:
+) -> tuple[Estimator, list[AssociationRecord]]:
     """As :func:`recorded`, with the readings used that were still pending at the end of the
     drive.
     """

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.presets import AgentConfig
 from limslam_agent.kernels.tables import FEWEST, LINES, POSE, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
@@ -54,6 +55,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.turn_meter import Turn
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import sample
+from limslam_env.interface import Observation, RobotSpec
 
 if TYPE_CHECKING:
     from limslam_agent.slam.consistent.clone_ekf import CloneEKF
@@ -74,9 +76,22 @@ _CALIBRATION_GATE = (
 
 
 class ConsistentEstimator(Estimator):
-    """SLAM in which each reading updates, once, the pose that it was taken from."""
+    """SLAM in which each reading updates, once, the pose that it was taken from.
+
+    A ``sensor`` is how the ranges are measured, if that is known to differ from the specified one.
+    """
 
     filter: "CloneEKF"
+
+    def __init__(
+        self,
+        robot: RobotSpec,
+        config: AgentConfig,
+        start_pose: FloatArray | None = None,
+        sensor: RangeSensor | None = None,
+    ) -> None:
+        super().__init__(robot, config, start_pose)
+        self._begin(sensor)
 
     def _begin(self, sensor: RangeSensor | None) -> None:
         # Kernels. Who imports this module need not wait for numba.
@@ -110,6 +125,18 @@ class ConsistentEstimator(Estimator):
         self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
         self._assume(sensor or self._specified)
         self._map: WallMap = WallMap(self.filter, config.extents)
+
+    def step(self, *observations: Observation) -> None:
+        """Predict, collect the readings of beams that have hit no teammate, and process each side
+        that has enough of them: see the base class.
+        """
+        motions = self._read(observations)
+        for number, motion in enumerate(motions):
+            self._predict(number, motion)
+        if len(self.robots) > 1:
+            self._drop_beams_on_robots()
+        for number, front in enumerate(self.robots):
+            self._measure(number, front)
 
     @property
     def walls(self) -> Walls:
@@ -161,8 +188,8 @@ class ConsistentEstimator(Estimator):
         ]
 
     def calibrate(self, found: tuple[Calibration, FloatArray] | None = None) -> None:
-        """Correct the odometry from now on, by the readings so far or by what another drive of the
-        robot has found.
+        """Correct the odometry from now on, by the readings so far, or, before the first step, by a
+        calibration and its covariance (3, 3) that an earlier drive of the robot has found.
         """
         self.filter.calibrate()
         if found is not None:
@@ -246,7 +273,13 @@ class ConsistentEstimator(Estimator):
         robot: int = 0,
         ends: FloatArray | None = None,
     ) -> None:
-        """Put a robot at another pose (3,): see the base class."""
+        """Put a robot at another pose (3,), m, m, rad, with the covariance (3, 3) of its error.
+
+        Readings that are still pending are used before. If a match has found the pose, its readings
+        end at ``ends`` (n, 2), m. The covariance is then that of the match, and the pose has the
+        errors of the walls at these points, if the estimate can be renewed. Otherwise it is
+        independent of the map.
+        """
         self.finish()
         by_lines = (
             None if ends is None or not self.is_renewable else self.map_state.by_walls(pose, ends)
@@ -256,7 +289,14 @@ class ConsistentEstimator(Estimator):
     def close(
         self, pose: FloatArray, covariance: FloatArray, ends: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Close a loop: see ``LineSlam.close``."""
+        """Close a loop: readings that end at points (n, 2) have found the pose (3,) of the robot
+        among the walls there.
+
+        ``covariance`` (3, 3) is that of the match. Readings that are still pending are used before.
+        Where the world has moved is returned: anchors (m, 2) of walls, and the rigid motion (m, 3)
+        around each of them. It is None, and nothing changes, if the estimate does not explain that
+        the robot is there.
+        """
         self.finish()
         before = self.map_state
         found = before.closed(pose, covariance, ends)
@@ -265,7 +305,7 @@ class ConsistentEstimator(Estimator):
         self.renew(found[0])
         return before.anchors, found[1]
 
-    def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
+    def _predict(self, number: int, motion: Motion) -> None:
         """Predict the pose of a robot, whose motion is less certain if it touches something, as the
         wheels show.
         """
@@ -278,7 +318,7 @@ class ConsistentEstimator(Estimator):
             motion = calibrated(motion, self.robot.axle, calibration)
         elif self.filter.calibration_evidence is not None:
             motion = calibrated(motion, self.robot.axle, AS_SPECIFIED)
-        if by_wheels:
+        if motion.is_by_wheels:
             motion = self._contacts[number].loosened(motion, front.ranges, front.measured)
         self.filter.predict(motion, number)
         self._travel[number, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
@@ -302,9 +342,8 @@ class ConsistentEstimator(Estimator):
             return HeadingCalibration(*errors.tolist())
         return OdometryCalibration(*errors.tolist())
 
-    def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
+    def _measure(self, number: int, front: FrontEnd) -> None:
         """Collect the new readings of a robot, and process each side that has enough of them."""
-        del motion
         travel = self._travel[number]
         settings = self.settings
         own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
@@ -363,6 +402,14 @@ class ConsistentEstimator(Estimator):
         pending = self._pending[..., RANGE]
         pending[:] = sensor.true(self.sensor.reported(pending))
         self._assume(sensor)
+
+    def learn_from(self, other: Estimator) -> None:
+        """Take robots, odometry and sensor to be from now on as another SLAM has found them."""
+        super().learn_from(other)
+        if other.sensor != self.sensor:
+            self.assume(other.sensor)
+        if any(found is not None for found in other.odometry_calibrations):
+            self.calibrate()
 
     def correct_delay(self) -> None:
         """Take the ranges to be as late as they are, if the readings say so. The caller lets the
@@ -426,7 +473,7 @@ class ConsistentEstimator(Estimator):
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""
-        from limslam_agent.kernels.extents import clear_along_beams
+        from limslam_agent.kernels.extents import Looks, clear_along_beams
 
         ekf = self.filter.arrays
         sensor = self.sensor
@@ -438,11 +485,7 @@ class ConsistentEstimator(Estimator):
                 ekf.counts,
                 ekf.anchors,
                 POSE * number,
-                front.ranges,
-                front.measured,
-                self._mounted.beam_table,
-                sensor.numbers[:2],
-                np.empty((len(front.ranges), 6)),
+                Looks(front.ranges, front.measured, self._mounted.beam_table, *sensor.numbers[:2]),
             )
 
     def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:

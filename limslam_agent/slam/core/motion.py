@@ -50,6 +50,8 @@ class Motion:
         ``encoder_ticks.jitter_of``.
     turn
         The turn by a heading sensor, which the increment has; None for a robot without one.
+    is_by_wheels
+        Whether the wheels' travel has reported it, and not the odometry of a log.
     """
 
     increment: FloatArray
@@ -57,6 +59,7 @@ class Motion:
     by_calibration: FloatArray | None = None
     jitter: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     turn: Turn | None = None
+    is_by_wheels: bool = False
 
     @property
     def has_turned(self) -> bool:
@@ -257,8 +260,9 @@ def motion_of(
     """
     if "wheels" in observation:
         wheels = _numbers(observation["wheels"], 2, "wheels")
+        more = unknown_of(observation)
         return Motion(
-            *wheel_motion(wheels, robot.axle, noise.wheel_variance, unknown_of(observation))
+            *wheel_motion(wheels, robot.axle, noise.wheel_variance, more), is_by_wheels=True
         )
     if "odometry" in observation:
         return motion_from_odometry(_numbers(observation["odometry"], 3, "odometry"), odometry)

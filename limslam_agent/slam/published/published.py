@@ -11,6 +11,7 @@ from typing import cast
 
 import numpy as np
 
+from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.core.diagnostics import (
     AssociationRecord,
@@ -24,25 +25,40 @@ from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines
 from limslam_agent.slam.core.motion import Motion
-from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.published.association import ObservedLine, associate, difference, end_gaps
 from limslam_agent.slam.published.line_map import LineMap
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
-from limslam_env.interface import Side
+from limslam_env.interface import Observation, RobotSpec, Side
 
 SIDES: tuple[Side, Side] = ("left", "right")
 
 
-class PublishedEstimator(Estimator):
+class PublishedSlam(Estimator):
     """The published method, which treats lines from points collected by odometry as independent of
     the odometry.
     """
 
     filter: LineEKF
 
-    def _begin(self, sensor: RangeSensor | None) -> None:
-        del sensor
+    def __init__(
+        self, robot: RobotSpec, config: AgentConfig, start_pose: FloatArray | None = None
+    ) -> None:
+        super().__init__(robot, config, start_pose)
+        self._begin()
+
+    def step(self, *observations: Observation) -> None:
+        """Process one observation of each robot."""
+        motions = self._read(observations)
+        for number, motion in enumerate(motions):
+            self.filter.predict(motion.increment, motion.covariance, number)
+        if len(self.robots) > 1:
+            self._drop_beams_on_robots()
+        for number, motion in enumerate(motions):
+            self._measure(number, self.robots[number], motion)
+
+    def _begin(self) -> None:
         self.filter = LineEKF(self._start)
         self._config = config = cast(PublishedConfig, self.config.estimator)
         self._map: LineMap = LineMap(self.filter, config.map)
@@ -72,10 +88,6 @@ class PublishedEstimator(Estimator):
             "loop_overlap": loop.min_overlap,
             "loop_offset": loop.max_distance,
         }
-
-    def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
-        del by_wheels
-        self.filter.predict(motion.increment, motion.covariance, number)
 
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Add points to the buffers, and use each buffer that is full."""

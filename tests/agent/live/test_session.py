@@ -87,7 +87,7 @@ BAD_WIRE = Faults(loss=0.1, late=0.1, double=0.1, damage=0.05)
 def test_the_heading_of_a_robot_is_used_and_kept(tmp_path):
     wire = Wire(emulated(imu=True), Faults(loss=0.1), seed=1)
     session, _ = driven(wire, 12.0)
-    (found, _) = session.agent.slam.odometry_calibration
+    (found, _) = session.agent.slam.odometry_calibrations[0]
     assert found._fields == ("size", "scale", "drift")
     log = session.recording.log()
     assert np.isfinite(log.yaw).all()

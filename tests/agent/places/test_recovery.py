@@ -94,7 +94,9 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monk
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # The robot never drives as far as it has to before it looks for its place.
     monkeypatch.setattr("limslam_agent.places.localisation._FIRST", 1e3)
-    config = RunConfig("env3", NOISE, seed=113, kidnap_at=30.0, max_time=50.0, settings=settings)
+    config = RunConfig(
+        "env3", NOISE, seed=113, kidnap_at=30.0, max_time=50.0, until="seen", settings=settings
+    )
     episode = run_episode(config)
     assert (episode.places.breaks, episode.places.revisions) == ([], [])
     assert 0 < episode.places.unplaced.begin <= 300
@@ -120,7 +122,7 @@ def test_a_world_without_another_place_is_refused(tmp_path):
         'name = "cell"\nsize = [1, 1]\nwalls = [[0,0,1,0],[1,0,1,1],[1,1,0,1],[0,1,0,0]]\n'
     )
     with pytest.raises(ValueError, match="no free place"):
-        run_episode(RunConfig(path, NOISE, kidnap_at=0.1, max_time=1.0))
+        run_episode(RunConfig(path, NOISE, kidnap_at=0.1, max_time=1.0, until="seen"))
 
 
 def test_a_carried_robot_came_to_where_it_was_found_and_one_that_has_slipped_is_near():

@@ -14,6 +14,7 @@ from support.drives import FOUR_BEAMS, drive, laps_of_square, placed, recorded, 
 from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.published import BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
+from limslam_agent.slam.slam import Estimator
 from limslam_env import NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.geometry import line as line_geometry
@@ -46,7 +47,7 @@ def run(
     config: AgentConfig,
     start: FloatArray,
     robot: RobotSpec = ROBOT,
-) -> LineSlam:
+) -> Estimator:
     slam = LineSlam(robot, config, start)
     for observation in observations:
         slam.step(observation)
@@ -272,24 +273,3 @@ def test_laps_are_not_much_more_wrong_than_believed(noise: float, most: float) -
     chi-square.
     """
     assert 0.5 < mean_nees(noise, 30) < most
-
-
-class Counting(LineSlam):
-    """A user's subclass, which counts its steps."""
-
-    count = 0
-
-    def step(self, *observations: Observation) -> None:
-        self.count += 1
-        super().step(*observations)
-
-
-@pytest.mark.parametrize("name", ["graph", "paper"])
-def test_a_subclass_is_one_of_the_estimator_that_the_settings_choose(name: str) -> None:
-    slam = Counting(ROBOT, preset(name, NominalNoise(0.02)))
-    for _ in range(2):
-        slam.step({"ranges": ROBOT.max_ranges, "wheels": np.array([0.01, 0.01])})
-        slam = slam.copied()
-    slam = pickle.loads(pickle.dumps(slam))  # noqa: S301 (made here)
-    assert (type(slam).__name__, slam.count) == ("Counting", 2)
-    np.testing.assert_allclose(slam.pose, [0.02, 0.0, 0.0], atol=1e-12)

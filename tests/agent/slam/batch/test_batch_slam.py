@@ -25,6 +25,7 @@ from limslam_agent import (
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import self_calibrating
 from limslam_agent.slam.batch.state import Capacity
+from limslam_agent.slam.slam import Estimator
 from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, Observation, RobotSpec
 from limslam_env.envs.wrappers import NormalizedObservation
 from limslam_env.geometry import FloatArray
@@ -92,7 +93,7 @@ def explored(
     return worst, batch, agents
 
 
-def check_maps(batch: BatchSlam, slams: list[LineSlam]) -> None:
+def check_maps(batch: BatchSlam, slams: list[Estimator]) -> None:
     np.testing.assert_array_equal(batch.num_landmarks, [len(slam.all_landmarks) for slam in slams])
     np.testing.assert_array_equal(batch.num_closures, [len(slam.closures) for slam in slams])
     for number, slam in enumerate(slams):
@@ -146,7 +147,7 @@ def followed(
     config: AgentConfig,
     robot: RobotSpec = ROBOT,
     start: FloatArray = START,
-) -> tuple[LineSlam, BatchSlam]:
+) -> tuple[Estimator, BatchSlam]:
     """Both after a drive during which they were equal."""
     slam = LineSlam(robot, config, start)
     batch = BatchSlam(robot, config, 1, num_threads=1, size=0)

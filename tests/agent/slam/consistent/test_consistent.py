@@ -25,6 +25,7 @@ from support.drives import (
 from limslam_agent import LimSlamTeam, LineSlam, preset
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.slam import Estimator
 from limslam_env import LimSlamParallelEnv, NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.geometry import line as line_geometry
@@ -51,7 +52,7 @@ def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
     return off
 
 
-def check_covariance(slam: LineSlam) -> None:
+def check_covariance(slam: Estimator) -> None:
     """The covariances of poses and walls are finite, symmetric, and positive but for rounding."""
     for covariance in (*slam.covariances, *(mark.covariance for mark in slam.all_landmarks)):
         assert np.isfinite(covariance).all()
@@ -60,7 +61,7 @@ def check_covariance(slam: LineSlam) -> None:
         assert np.linalg.eigvalsh(covariance).min() > -1e-9 * scale
 
 
-def check_pose(slam: LineSlam, true: FloatArray, metres: float, degrees: float) -> None:
+def check_pose(slam: Estimator, true: FloatArray, metres: float, degrees: float) -> None:
     """The pose is right so far, and no more wrong than it is believed to be (chi-square, 99.9
     %).
     """
@@ -204,7 +205,7 @@ def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None
 
 def loop_of(
     noise: float, seed: int, wheel_variance: float = 2e-5, laps: float = 1.5, start_x: float = 1.0
-) -> tuple[LapLog, LineSlam, list[AssociationRecord]]:
+) -> tuple[LapLog, Estimator, list[AssociationRecord]]:
     log = laps_of_square(
         noise, seed, laps, ROBOT, wheel_variance=wheel_variance, start=(start_x, 1.0, 0.0)
     )

@@ -23,7 +23,7 @@ from limslam_agent.config.consistent import (
 )
 from limslam_agent.config.presets import self_calibrating
 from limslam_agent.mapping import mapper as mapper_module
-from limslam_agent.output.summary import record_summary, turn_records
+from limslam_agent.output.summary import record_summary, sensor_record
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.range_noise import RangeNoise
@@ -40,6 +40,7 @@ from limslam_agent.slam.core.motion import (
     motion_from_wheels,
 )
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.slam import Estimator
 from limslam_env import NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray, se2
 
@@ -221,13 +222,13 @@ def test_ranges_that_are_too_long_by_a_share_are_named_and_leave_the_size_unknow
         is_seen = seen["ranges"] < ROBOT.too_far
         seen["ranges"] = np.where(is_seen, 1.03 * seen["ranges"], seen["ranges"])
     mapper, poses, covariances = mapped(observations, config_of())
-    assert mapper.slam.range_sensor.scale == pytest.approx(0.8 * 0.03, abs=0.006)
+    assert mapper.slam.sensor.scale == pytest.approx(0.8 * 0.03, abs=0.006)
     # The readings cannot tell long ranges from large wheels, so far places are less certain.
     far = len(poses) // 2 + int(np.hypot(*true[len(poses) // 2 :, :2].T).argmax())
     distance = float(np.hypot(*true[far, :2]))
     along = true[far, :2] / distance
     assert math.sqrt(along @ covariances[far, :2, :2] @ along) > 0.008 * distance
-    sensor = mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)
+    sensor = mapper.slam.sensor.found(RangeSensor(NOISE), ROBOT.control_period)
     (line,) = (each for each in record_summary({"record": {"sensor": sensor}}) if "sensor" in each)
     assert "the map may be 1.8 % too large or too small" in line
 
@@ -253,7 +254,8 @@ def test_turned_beams_are_found_and_named() -> None:
     # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell
     # their directions.
     np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
-    result = {"record": {"beam_turns": turn_records(found)}, "config": {"robot": asdict(ROBOT)}}
+    record = sensor_record(None, found, 0.01, ROBOT)
+    result = {"record": record, "config": {"robot": asdict(ROBOT)}}
     line = record_summary(result)[-1]
     assert re.search(
         r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line
@@ -270,12 +272,10 @@ def test_late_ranges_are_found_and_corrected(delay: int) -> None:
     late = [observations[max(step - delay, 0)]["ranges"] for step in range(len(observations))]
     told = [{**seen, "ranges": ranges} for seen, ranges in zip(observations, late, strict=True)]
     mapper, _, _ = mapped(told, config_of())
-    assert mapper.slam.range_sensor.delay == pytest.approx(delay, abs=0.2)
+    assert mapper.slam.sensor.delay == pytest.approx(delay, abs=0.2)
     assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
     result = {
-        "record": {
-            "sensor": mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)
-        }
+        "record": {"sensor": mapper.slam.sensor.found(RangeSensor(NOISE), ROBOT.control_period)}
     }
     (line,) = (line for line in record_summary(result) if line.startswith("sensor"))
     found = re.search(r"ranges are (\d\.\d\d) s later than the wheels", line)
@@ -290,7 +290,7 @@ def test_a_beam_that_always_reads_the_same_is_left_out_and_named(beam: int, read
     for seen in observations:
         seen["ranges"][beam] = min(reading, float(ROBOT.max_ranges[beam]))
     mapper, _, _ = mapped(observations, config_of())
-    sensor = mapper.slam.range_sensor
+    sensor = mapper.slam.sensor
     assert sensor.broken == (beam,)
     assert mapper.statuses[0].level == "ok"
     assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
@@ -308,7 +308,7 @@ def test_a_beam_that_breaks_later_does_not_take_the_robot_back_to_its_start(monk
     for seen in observations[450:]:
         seen["ranges"][4] = 0.2
     mapper, _, _ = mapped(observations, config_of())
-    assert mapper.slam.range_sensor.broken == (4,)
+    assert mapper.slam.sensor.broken == (4,)
     assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
 
 
@@ -504,7 +504,7 @@ def test_a_robot_in_a_round_room_believes_its_wheels_and_its_sensor() -> None:
         mapper.step(seen)
     assert mapper.slam.sensor.bend > 0.0
     assert not mapper.slam.sensor.turns
-    assert mapper.slam.odometry_calibration is None
+    assert mapper.slam.odometry_calibrations == [None]
 
 
 def uneven_laps(
@@ -568,7 +568,7 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again() -> None:
     np.testing.assert_array_equal(mapper.slam.pose, always.slam.pose)
     np.testing.assert_array_equal(mapper.slam.segments, always.slam.segments)
     np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
-    found = mapper.slam.odometry_calibration
+    found = mapper.slam.odometry_calibrations[0]
     assert found is not None
     turns = np.array([-1.0, 1.0, 0.0])
     std = math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
@@ -586,7 +586,7 @@ def config(noise: float, *, enabled: bool) -> AgentConfig:
     return self_calibrating(settings, "always" if enabled else "never")
 
 
-def after_laps(noise: float) -> tuple[LineSlam, float]:
+def after_laps(noise: float) -> tuple[Estimator, float]:
     """The mapping half after two laps with uneven wheels, and its position's RMS error, m."""
     log = laps_of_square(noise, seed=5, laps=2.0)
     slam = LineSlam(FOUR_BEAMS, config(noise, enabled=True), log.poses[0])
@@ -600,8 +600,8 @@ def after_laps(noise: float) -> tuple[LineSlam, float]:
 @pytest.mark.parametrize("noise", [0.02])
 def test_uneven_wheels_are_found_out(noise: float) -> None:
     slam, error = after_laps(noise)
-    assert slam.odometry_calibration is not None
-    factors, covariance = slam.odometry_calibration
+    assert slam.odometry_calibrations[0] is not None
+    factors, covariance = slam.odometry_calibrations[0]
     true = 1.0 / COUNTED - 1.0
     uneven = np.array([-1.0, 1.0, 0.0])
     std = math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
