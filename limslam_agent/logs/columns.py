@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
-from limslam_agent.logs.directions import direction_of, is_vertical, words_of
+from limslam_agent.logs.directions import direction_of, is_vertical, words_in, words_of
 
 
 class Role(StrEnum):
@@ -101,19 +101,15 @@ _SPELLINGS = {
 _UNIT_OF = {word: unit for unit in _SPELLINGS for word in (unit, *_SPELLINGS[unit].split())}
 
 
-def _words_in(text: str) -> frozenset[str]:
-    return frozenset(text.split())
-
-
 # Words of what the robot was told to do, of the truth, and of figures about a measurement.
-_NOT_MEASURED = _words_in(
+_NOT_MEASURED = words_in(
     "pwm cmd command duty power current voltage volt volts battery bat batt target setpoint goal "
     "desired ref reference error err temp temperature status quality signal sigma ambient cov "
     "covariance std var seq id rssi true truth gt mocap vicon acc accel acceleration pitch roll "
     "mag dt loop period valid"
 )
-_CLOCK = _words_in("t time stamp timestamp datetime clock uptime elapsed")
-_SENSOR = _words_in(
+_CLOCK = words_in("t time stamp timestamp datetime clock uptime elapsed")
+_SENSOR = words_in(
     "r range ranges dist distance tof flight us uss sonar ultrasonic ultrasound ir lidar laser "
     "prox proximity sharp sensor echo beam hcsr hc vl d s"
 )
@@ -122,48 +118,48 @@ _SHORT_LAST = {"us", "ir"}
 _MINUS = {"m", "minus", "neg"}
 _LEFT = {"left", "l", "lft"}
 _RIGHT = {"right", "r", "rgt"}
-_SPEED = _words_in("speed vel velocity v")
-_ROTATION = _words_in("w omega angular rotational")
-_TICKS = _words_in("enc encoder encoders counter") | _words_in(_SPELLINGS["ticks"]) | {"ticks"}
+_SPEED = words_in("speed vel velocity v")
+_ROTATION = words_in("w omega angular rotational")
+_TICKS = words_in("enc encoder encoders counter") | words_in(_SPELLINGS["ticks"]) | {"ticks"}
 _WHEEL = (
-    _words_in("wheel wheels motor travel odo odom odometry pos position joint rate delta total")
+    words_in("wheel wheels motor travel odo odom odometry pos position joint rate delta total")
     | _SPEED
     | _ROTATION
     | _TICKS
 )
-_PLACE = _words_in(
+_PLACE = words_in(
     "odom odometry pos pose position state estimate field robot base kalman est world global "
     "translation transform local p ekf msg data"
 )
 _FLIGHT_CONTROLLER = {"stabilizer", "estimate"}
-_INERTIAL = _words_in("imu bno mpu icm lsm gyro compass fused stabilizer attitude ahrs euler")
-_COMPUTED_HEADING = _words_in("theta th phi psi")
-_HEADING = _COMPUTED_HEADING | _words_in("yaw heading azimuth bearing")
-_GYRO = _words_in("gz gyro gyr")
-_FORWARD = _words_in("v vx vel velocity speed linear lin")
-_QUATERNION = _words_in("orientation quaternion quat q rotation")
-_QUATERNION_PARTS = _words_in("qx qy qz qw")
-_NO_SENSOR = _TICKS | _INERTIAL | _words_in("wheel motor")
+_INERTIAL = words_in("imu bno mpu icm lsm gyro compass fused stabilizer attitude ahrs euler")
+_COMPUTED_HEADING = words_in("theta th phi psi")
+_HEADING = _COMPUTED_HEADING | words_in("yaw heading azimuth bearing")
+_GYRO = words_in("gz gyro gyr")
+_FORWARD = words_in("v vx vel velocity speed linear lin")
+_QUATERNION = words_in("orientation quaternion quat q rotation")
+_QUATERNION_PARTS = words_in("qx qy qz qw")
+_NO_SENSOR = _TICKS | _INERTIAL | words_in("wheel motor")
 # Names that have one of some words, and no other words than these and those beside them.
 _MOTIONS = (
-    (Role.DISTANCE, _words_in("distance dist travel"), _words_in("travelled delta")),
-    (Role.ANGLE, _words_in("angle"), _words_in("turned delta")),
-    (Role.X, _words_in("x px"), _PLACE),
-    (Role.Y, _words_in("y py"), _PLACE),
+    (Role.DISTANCE, words_in("distance dist travel"), words_in("travelled delta")),
+    (Role.ANGLE, words_in("angle"), words_in("turned delta")),
+    (Role.X, words_in("x px"), _PLACE),
+    (Role.Y, words_in("y py"), _PLACE),
     (Role.HEADING, _COMPUTED_HEADING, _PLACE | {"angle"}),
-    (Role.ANGLE, _words_in("theta"), _words_in("delta")),
+    (Role.ANGLE, words_in("theta"), words_in("delta")),
     (Role.YAW, _HEADING, _INERTIAL | {"angle"}),
     (Role.HEADING, _HEADING, _PLACE | _INERTIAL | {"angle"}),
-    (Role.YAW, _words_in("angle"), _INERTIAL | {"z"}),
-    (Role.YAW_RATE, _words_in("yaw heading"), _words_in("rate imu")),
-    (Role.YAW_RATE, _GYRO, _INERTIAL | _words_in("z rate yaw")),
-    (Role.YAW_RATE, _words_in("imu"), _words_in("angular vel velocity rate z w wz field")),
+    (Role.YAW, words_in("angle"), _INERTIAL | {"z"}),
+    (Role.YAW_RATE, words_in("yaw heading"), words_in("rate imu")),
+    (Role.YAW_RATE, _GYRO, _INERTIAL | words_in("z rate yaw")),
+    (Role.YAW_RATE, words_in("imu"), words_in("angular vel velocity rate z w wz field")),
     (
         Role.TURN_RATE,
-        _words_in("omega w wz angular ang turn turning rot vth vtheta"),
-        _words_in("z vel velocity speed rate twist robot field odom base yaw"),
+        words_in("omega w wz angular ang turn turning rot vth vtheta"),
+        words_in("z vel velocity speed rate twist robot field odom base yaw"),
     ),
-    (Role.SPEED, _FORWARD, _words_in("x forward twist robot field odom base translational")),
+    (Role.SPEED, _FORWARD, words_in("x forward twist robot field odom base translational")),
 )
 
 # Words that are written together, as in "encoderleft" or "gyroz", are taken apart by these.
@@ -174,8 +170,8 @@ _VOCABULARY = sorted(
         for word in words
         if len(word) > 1
     }
-    | _words_in("left right front back rear yaw rate host linear angular")
-    | _words_in("fl fr bl br"),
+    | words_in("left right front back rear yaw rate host linear angular")
+    | words_in("fl fr bl br"),
     key=len,
     reverse=True,
 )
@@ -206,10 +202,8 @@ class Column:
     sign
         -1 for a column that counts the other way than usual, otherwise 1.
     degrees
-        Direction of a range, deg, left positive. None if the name has none.
-    number
-        The whole number at the end of a range's name, which is a direction in degrees or counts
-        the sensors.
+        Direction of a range, deg, left positive, or a number that counts the sensors. None if the
+        name has none.
     is_word
         Whether a direction is a word like ``front_left``, which is approximate.
     is_bare
@@ -222,7 +216,6 @@ class Column:
     usual: str | None = None
     sign: float = 1.0
     degrees: float | None = None
-    number: int | None = None
     is_word: bool = False
     is_bare: bool = False
 
@@ -254,10 +247,10 @@ def numbered(columns: Sequence[Column]) -> bool:
     """Whether the numbers in the names of ranges count the sensors: 0, 1, 2, ... or 1, 2, 3, ...,
     of a few sensors. Otherwise they are directions in degrees.
     """
-    numbers = sorted(-1 if each.number is None else each.number for each in columns)
-    first = numbers[0]
-    counted = list(range(first, first + len(numbers)))
-    return first in (0, 1) and 2 <= len(numbers) <= _MOST_PLACES and numbers == counted
+    numbers = {None if each.is_word else each.degrees for each in columns}
+    count = len(columns)
+    counts = (set(range(first, first + count)) for first in (0, 1))
+    return 2 <= count <= _MOST_PLACES and numbers in counts
 
 
 def _words(text: str) -> list[str]:
@@ -342,8 +335,7 @@ def _range(column: Column, text: str, words: list[str]) -> Column | None:
     if last is None:
         return column if re.match(r"r(ange)?[_\[]", text.lower()) else None
     sign = -1.0 if words[-2:-1] and words[-2] in _MINUS else 1.0
-    number = int(last[1][:9]) if last[1].isdigit() and sign > 0.0 else None
-    return replace(column, degrees=sign * float(last[1]), number=number)
+    return replace(column, degrees=sign * float(last[1]))
 
 
 def _is_direction(words: Sequence[str]) -> bool:

@@ -285,16 +285,7 @@ def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
     late row after that is still from before.
     """
     turn = _CLOCK_COUNTS * unit
-    continued = time.copy()
-    turns = 0.0
-    before = float(time[0])
-    for row, seconds in enumerate(time.tolist()):
-        late = turns
-        if seconds < before - LARGEST_STEP_BACK and 0.0 <= seconds - before + turn < _LONGEST_PAUSE:
-            turns += turn  # a clock that was full begins again at 0
-            late = turns
-        elif turns and seconds < turn and abs(seconds - turn - before) <= LARGEST_STEP_BACK:
-            late = turns - turn
-        before = seconds if late == turns else before
-        continued[row] = seconds + late
-    return continued
+    steps = np.diff(time, prepend=time[:1])
+    begins = (steps < -LARGEST_STEP_BACK) & (steps + turn >= 0.0) & (steps + turn < _LONGEST_PAUSE)
+    is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
+    return time + turn * (np.cumsum(begins) - np.cumsum(is_late))

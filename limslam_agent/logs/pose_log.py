@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.logs.directions import apart
-from limslam_agent.logs.odometry_breaks import excursions_in_words, without_excursions
+from limslam_agent.logs.odometry_breaks import without_excursions
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
@@ -123,9 +123,8 @@ def pose_log(
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
-    odometry, off = without_excursions(time, odometry)
-    notes = (*notes, *excursions_in_words(time, off))
-    return RecordedLog(robot, time, odometry=odometry, notes=notes, **fields)
+    odometry, replaced = without_excursions(time, odometry)
+    return RecordedLog(robot, time, odometry=odometry, notes=(*notes, *replaced), **fields)
 
 
 def check_max_range(max_range: float) -> None:

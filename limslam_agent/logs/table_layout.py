@@ -5,7 +5,6 @@ heading of an inertial measurement unit, and where each range points.
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 
@@ -31,14 +30,6 @@ _MOST_COLUMNS = MOST_BEAMS + 4  # a time and a pose, or as many others
 _MOST_NAMED = 12  # columns in a message
 _WORD_PRECISION_DEG = 45.0  # "front_left" is any direction between front and left
 _ROUNDING_DEG = 1e-6
-
-
-class Form(StrEnum):
-    """What the odometry of a table is made of."""
-
-    WHEELS = "both wheels"
-    POSES = "poses"
-    MOTION = "distance and turn"
 
 
 @dataclass(frozen=True)
@@ -79,11 +70,9 @@ class Layout:
     ----------
     columns
         All columns in the order of the file.
-    form
-        What the odometry is made of.
     motion
-        Places of the columns of the odometry by their roles, with that of the time. They need a
-        number in each row.
+        Places of the columns of the odometry by their roles, after that of the time: of both
+        wheels, of poses, or of a distance or speed and a turn. They need a number in each row.
     inertial
         Places of the columns of the heading by an inertial measurement unit, which may be empty.
     ranges
@@ -91,7 +80,6 @@ class Layout:
     """
 
     columns: tuple[Column, ...]
-    form: Form
     motion: dict[Role, int]
     inertial: dict[Role, int]
     ranges: tuple[int, ...]
@@ -108,8 +96,9 @@ class Layout:
     @property
     def is_speed(self) -> bool:
         """Whether the odometry is calculated from speeds."""
-        of_wheels = self.form is Form.WHEELS and self.column(Role.LEFT).dimension
-        return Role.SPEED in self.motion or of_wheels in (Dimension.SPEED, Dimension.TURN_RATE)
+        rates = (Dimension.SPEED, Dimension.TURN_RATE)
+        of_wheels = Role.LEFT in self.motion and self.column(Role.LEFT).dimension in rates
+        return Role.SPEED in self.motion or of_wheels
 
     @property
     def unused(self) -> list[str]:
@@ -162,7 +151,7 @@ def layout_of(header: Header, *, has_robot: bool) -> Layout:
     columns = _with_bare_sides(columns)
     places = _first_places(columns)
     ranges = tuple(place for place, each in enumerate(columns) if each.role is Role.RANGE)
-    form, motion = _odometry(places, has_robot=has_robot)
+    motion = _odometry(places, has_robot=has_robot)
     missing = [] if Role.TIME in places else [_TIME]
     if not motion:
         missing.append(_missing_odometry({each.role for each in columns}))
@@ -170,8 +159,8 @@ def layout_of(header: Header, *, has_robot: bool) -> Layout:
         missing.append("a range (r_90, range_front)")
     if missing:
         raise ValueError(_missing(missing, columns, is_chosen=header.is_chosen))
-    inertial = _inertial(places) if form is Form.WHEELS else {}
-    return Layout(columns, form, {Role.TIME: places[Role.TIME], **motion}, inertial, ranges)
+    inertial = _inertial(places) if Role.LEFT in motion else {}
+    return Layout(columns, {Role.TIME: places[Role.TIME], **motion}, inertial, ranges)
 
 
 def completeness(columns: Iterable[Column]) -> int:
@@ -179,8 +168,8 @@ def completeness(columns: Iterable[Column]) -> int:
     odometry and ranges.
     """
     places = _first_places(columns)
-    _, motion = _odometry(places, has_robot=True)
-    return (Role.TIME in places) + bool(motion) + (Role.RANGE in places)
+    has_odometry = bool(_odometry(places, has_robot=True))
+    return (Role.TIME in places) + has_odometry + (Role.RANGE in places)
 
 
 def range_directions(
@@ -228,15 +217,8 @@ def _first_places(columns: Iterable[Column]) -> dict[Role, int]:
     ticks, or else speeds. An angle beside x and y is a heading.
     """
     places: dict[Role, int] = {}
-    sides: dict[Dimension, dict[Role, int]] = {
-        dimension: {}
-        for dimension in (
-            Dimension.TICKS,
-            Dimension.LENGTH,
-            Dimension.SPEED,
-            Dimension.TURN_RATE,
-        )
-    }
+    order = (Dimension.TICKS, Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE)
+    sides: dict[Dimension, dict[Role, int]] = {dimension: {} for dimension in order}
     for place, column in enumerate(columns):
         if column.role in WHEELS:
             sides[column.dimension or Dimension.TICKS].setdefault(column.role, place)
@@ -257,7 +239,7 @@ def _with_bare_sides(columns: tuple[Column, ...]) -> tuple[Column, ...]:
         for each in columns
     )
     has_front = any(each.is_bare and each.role is Role.RANGE for each in columns)
-    has_odometry = bool(_odometry(others, has_robot=True)[1])
+    has_odometry = bool(_odometry(others, has_robot=True))
     if not (Role.LEFT in others or (has_front and has_odometry)):
         return columns
     return tuple(
@@ -268,23 +250,19 @@ def _with_bare_sides(columns: tuple[Column, ...]) -> tuple[Column, ...]:
     )
 
 
-def _odometry(places: dict[Role, int], *, has_robot: bool) -> tuple[Form, dict[Role, int]]:
-    """The form of the odometry with the places of its columns, which are none where it is
-    incomplete.
-    """
+def _odometry(places: dict[Role, int], *, has_robot: bool) -> dict[Role, int]:
+    """Places of the columns of the odometry, which are none where it is incomplete."""
     wheels = _picked(places, *WHEELS)
     position = _picked(places, Role.X, Role.Y)
     heading = _first_of(places, (Role.HEADING,), (Role.YAW,), QUATERNION)
     poses = {**position, **heading} if position and heading else {}
-    if wheels and (has_robot or not poses):
-        return Form.WHEELS, wheels
-    if poses:
-        return Form.POSES, poses
+    if poses or wheels:
+        return wheels if wheels and (has_robot or not poses) else poses
     forward = _first_of(places, (Role.DISTANCE,), (Role.SPEED,))
     turns = [(Role.TURN_RATE,), (Role.YAW_RATE,)]
     turns.insert(0 if Role.DISTANCE in forward else 2, (Role.ANGLE,))
     turn = _first_of(places, *turns) or heading
-    return Form.MOTION, {**forward, **turn} if forward and turn else {}
+    return {**forward, **turn} if forward and turn else {}
 
 
 def _inertial(places: dict[Role, int]) -> dict[Role, int]:

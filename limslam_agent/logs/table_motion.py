@@ -10,7 +10,7 @@ from limslam_agent.logs.columns import MEASURED, SCALE_OF, Dimension, Role
 from limslam_agent.logs.headings import FULL_TURN, heading_beside_wheels
 from limslam_agent.logs.lost_reports import gaps_in
 from limslam_agent.logs.pose_log import median_spacing
-from limslam_agent.logs.table_layout import QUATERNION, WHEELS, Form, Layout
+from limslam_agent.logs.table_layout import QUATERNION, WHEELS, Layout
 from limslam_agent.logs.table_options import TOO_FAST, TableOptions
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec
@@ -51,6 +51,8 @@ class Odometry:
     poses: FloatArray | None = None
     yaw: FloatArray | None = None
     gaps: Sequence[int] = ()
+    _moves: FloatArray  # since the row before, of the pose or of both wheels (n, 2), m
+    _farthest: FloatArray  # that is possible (n,), m
 
     def __init__(self, layout: Layout, numbers: FloatArray, options: TableOptions) -> None:
         """Read it from the numbers (n, k) of the columns of ``layout.places``, of which the first
@@ -68,33 +70,40 @@ class Odometry:
         self._time = numbers[:, 0]
         self._period = median_spacing(self._time)
         self._spacing = np.maximum(np.diff(self._time, prepend=self._time[:1]), 0.0)
+        longest = np.maximum(self._spacing, self._period)
         robot = options.robot
         # A speed says how far the robot drove until the row, and not in all of a gap before it.
         has_gaps = self._spacing > (1.5 * self._period if robot else np.inf)
         self._lasted = np.where(has_gaps, self._period, self._spacing)
-        self._is_travel = layout.form is not Form.POSES and (
-            layout.is_speed or not options.accumulated
-        )
-        if layout.form is Form.POSES:
+        has_poses = Role.X in layout.motion
+        self._is_travel = not has_poses and (layout.is_speed or not options.accumulated)
+        if has_poses:
             position = [self._scaled(role, "m") for role in (Role.X, Role.Y)]
             self.poses = np.column_stack((*position, self._heading()))
-            return
-        axle = 1.0 if robot is None else robot.axle
-        wheels = self._driven(axle) if layout.form is Form.MOTION else self._wheels(robot)
-        self._note_unused_options()
-        if layout.inertial:
-            self.yaw = self._inertial(np.diff(wheels, axis=1)[:, 0] / axle)
-        if robot is None:
-            start = np.zeros(3)
-            self.poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
-            return
-        self.wheels = wheels
-        if self._is_travel:
-            self.gaps = gaps_in(wheels, self._time, self._period).tolist()
+        else:
+            axle = 1.0 if robot is None else robot.axle
+            has_wheels = Role.LEFT in layout.motion
+            wheels = self._wheels(robot) if has_wheels else self._driven(axle)
+            self._note_unused_options()
+            if layout.inertial:
+                self.yaw = self._inertial(np.diff(wheels, axis=1)[:, 0] / axle)
+            if robot is None:
+                start = np.zeros(3)
+                self.poses = np.vstack((start, se2.driven(wheels[1:], axle, start)))
+            else:
+                self.wheels = wheels
+                self._moves = wheels
+                self._farthest = TOO_FAST * robot.max_wheel_speed * longest
+                if self._is_travel:
+                    self.gaps = gaps_in(wheels, self._time, self._period).tolist()
+        if self.poses is not None:
+            self._moves = np.diff(self.poses[:, :2], axis=0, prepend=self.poses[:1, :2])
+            self._farthest = _FARTHEST_STEP + _FASTEST * longest
 
     def impossible_rows(self) -> BoolArray:
         """Rows (n,) with a motion that no robot makes, after which it goes on as before."""
-        moves, farthest = self._moves()
+        moves = self._moves
+        farthest = self._farthest
         is_far = np.abs(moves).max(axis=1) > farthest
         is_impossible = np.zeros(len(moves), dtype=np.bool_)
         if self._is_travel:
@@ -108,37 +117,23 @@ class Odometry:
         """Raise a ValueError if a wheel travels more than ten times as far between two rows as the
         robot's largest wheel speed allows. The message asks about what the options have not said.
         """
-        moves, farthest = self._moves()
-        travelled = np.abs(moves).max(axis=1)
-        if not (travelled > farthest).any():
+        travelled = np.abs(self._moves).max(axis=1)
+        is_far = travelled > self._farthest
+        if not is_far.any():
             return
-        row = int(np.argmax(travelled > farthest))
+        row = int(np.argmax(is_far))
         lasted = max(self._spacing[row], self._period)
         raise ValueError(
             f"a wheel travels {travelled[row]:.3g} m in {lasted:.3g} s at time "
             f"{self._time[row]:g} s, but the robot's max_wheel_speed is "
-            f"{robot.max_wheel_speed:g} m/s. {self._question(moves, farthest)}"
+            f"{robot.max_wheel_speed:g} m/s. {self._question()}"
         )
 
-    def _moves(self) -> tuple[FloatArray, FloatArray]:
-        """The motion since the row before, of the pose or of both wheels (n, 2), m, and the
-        farthest that is possible (n,), m.
-        """
-        lasted = np.maximum(self._spacing, self._period)
-        if self.poses is not None:
-            moves = np.diff(self.poses[:, :2], axis=0, prepend=self.poses[:1, :2])
-            return moves, _FARTHEST_STEP + _FASTEST * lasted
-        assert self.wheels is not None  # noqa: S101 (there are wheels or poses)
-        assert self._options.robot is not None  # noqa: S101
-        return self.wheels, TOO_FAST * self._options.robot.max_wheel_speed * lasted
-
-    def _question(self, wheels: FloatArray, farthest: FloatArray) -> str:
-        """What to ask about wheel travel (n, 2), m, of which some is more than ``farthest`` (n,),
-        m.
-        """
+    def _question(self) -> str:
+        """What to ask about wheels that travel too far."""
         if self._layout.is_speed:
             return "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
-        if self._layout.form is Form.MOTION:
+        if Role.LEFT not in self._layout.motion:
             return (
                 "Is the distance in metres, since the row before? --position-unit and "
                 "--accumulated say otherwise"
@@ -148,8 +143,8 @@ class Odometry:
                 f"Is --metres-per-tick {self._options.metres_per_tick:g} right? Counters may begin "
                 "again after a power of two"
             )
-        changes = np.abs(np.diff(wheels, axis=0)).max(axis=1, initial=0.0)
-        if (changes[1:] <= farthest[2:]).all():
+        changes = np.abs(np.diff(self._moves, axis=0)).max(axis=1, initial=0.0)
+        if (changes[1:] <= self._farthest[2:]).all():
             return "They look like counters: --accumulated says that they count from the start"
         return (
             "Are left and right metres since the row before? --metres-per-tick converts ticks, and "
@@ -178,7 +173,7 @@ class Odometry:
         columns = [self._layout.column(role) for role in WHEELS]
         per_tick = options.metres_per_tick
         units = [each.unit if each.dimension is Dimension.LENGTH else None for each in columns]
-        metres = np.array([SCALE_OF[unit] if unit else per_tick for unit in units])
+        metres: FloatArray = np.array([SCALE_OF[unit] if unit else per_tick for unit in units])
         for role, unit in zip(WHEELS, units, strict=True):
             self.units[role] = unit or f"{per_tick:g} m for each 1"
         if units[0] and per_tick != 1.0:
@@ -186,7 +181,7 @@ class Odometry:
                 f"--metres-per-tick is not used: by its name {columns[0].name} is in {units[0]}"
             )
         counters = np.column_stack([self._values[role] for role in WHEELS])
-        travel: FloatArray = counters.copy()
+        travel = counters.copy()
         if options.accumulated:
             farthest = _SPARE * robot.max_wheel_speed * self._period / float(metres.min())
             travel = _continued(np.diff(counters, axis=0, prepend=counters[:1]), counters, farthest)
@@ -311,11 +306,8 @@ class Odometry:
         return np.nancumsum(column[rows] * self._spacing)
 
     def _note_unused_options(self) -> None:
-        unused = []
-        if self._options.metres_per_tick != 1.0:
-            unused.append("--metres-per-tick")
-        if self._options.accumulated:
-            unused.append("--accumulated")
+        unused = ["--metres-per-tick"] * (self._options.metres_per_tick != 1.0)
+        unused += ["--accumulated"] * self._options.accumulated
         if self._layout.is_speed and unused:
             are = "are" if len(unused) > 1 else "is"
             self.notes.append(f"the columns hold speeds, so {' and '.join(unused)} {are} not used")

@@ -4,28 +4,17 @@ import math
 
 import numpy as np
 import pytest
+from support.data import own_log
 
 from limslam_agent import read_log
-from limslam_agent.logs.recorded_log import write_npz
-from limslam_env import RobotSpec
 
-ROBOT = RobotSpec()
 STEPS = 200
 
 
 def log_with(path, yaw, turning=0.004):
     """The log of a robot whose wheels turn it to the left."""
     wheels = np.tile((0.02 - turning, 0.02 + turning), (STEPS, 1))
-    write_npz(
-        path,
-        ROBOT,
-        time=0.1 * np.arange(STEPS),
-        ranges=np.full((STEPS, 6), 0.5),
-        wheels=wheels,
-        action=np.zeros((STEPS, 2)),
-        start_pose=np.zeros(3),
-        yaw=yaw,
-    )
+    np.savez(path, **{**own_log(STEPS), "wheels": wheels, "yaw": yaw})
     return read_log(path)
 
 
