@@ -249,8 +249,8 @@ def numbered(columns: Sequence[Column]) -> bool:
     """
     numbers = {None if each.is_word else each.degrees for each in columns}
     count = len(columns)
-    counts = (set(range(first, first + count)) for first in (0, 1))
-    return 2 <= count <= _MOST_PLACES and numbers in counts
+    are_counted = any(numbers == set(range(first, first + count)) for first in (0, 1))
+    return are_counted and 2 <= count <= _MOST_PLACES
 
 
 def _words(text: str) -> list[str]:

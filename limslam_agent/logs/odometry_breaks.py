@@ -137,8 +137,9 @@ class _Motions:
     def break_at(self, step: int, *, is_jump: bool) -> OdometryBreak:
         """The break at a motion."""
         stds = np.minimum(_STDS + self.usual * self.seconds[step], _MOST_STDS)[[0, 0, 1]]
-        times = self.time[step : step + 2] - self.time[0]
-        return OdometryBreak(step + 1, *times.tolist(), *self.sizes[step].tolist(), is_jump, stds)
+        begin, end = (self.time[step : step + 2] - self.time[0]).tolist()
+        distance, turn = self.sizes[step].tolist()
+        return OdometryBreak(step + 1, begin, end, distance, turn, is_jump, stds)
 
 
 def odometry_breaks(
