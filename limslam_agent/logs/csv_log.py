@@ -22,15 +22,14 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.logs.columns import SCALE_OF, Role
-from limslam_agent.logs.directions import apart
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
-    WORST_BEAM_MISMATCH_DEG,
     beam,
     check_max_range,
     choose_beams,
     median_spacing,
+    nearest_beams,
     pose_log,
 )
 from limslam_agent.logs.recorded_log import FilePath, RecordedLog, naming, numbered_lines
@@ -127,12 +126,10 @@ class _Ranges:
         robot = options.robot
         directions, notes = range_directions(layout, robot, header.source)
         reach = DEFAULT_MAX_RANGE if max_range is None else max_range
-        beams = [
-            beam(math.radians(degrees), reach)
-            if robot is None
-            else _mounted(robot, degrees, max_range, header.source)
-            for degrees in directions
-        ]
+        if robot is None:
+            beams = [beam(math.radians(degrees), reach) for degrees in directions]
+        else:
+            beams = _mounted(robot, directions, max_range)
         used = choose_beams(np.degrees([each.angle for each in beams]), beams_deg)
         places = [layout.ranges[index] for index in used]
         metres = []
@@ -146,25 +143,23 @@ class _Ranges:
         return cls(places, chosen, np.array(metres), words, notes, layout.header(directions))
 
 
-def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
-    """The robot's beam in a direction that ``source`` names. A reading of a table is a new
+def _mounted(
+    robot: RobotSpec, directions: Sequence[float], max_range: float | None
+) -> list[SensorSpec]:
+    """The robot's beams in the directions of columns, deg. A reading of a table is a new
     measurement in each row. Raises a ValueError if the robot has no such beam.
     """
-    angles = np.degrees(robot.beam_angles)
-    off = apart(angles, degrees)
-    if off.min() > WORST_BEAM_MISMATCH_DEG + 1e-9:
-        known = ", ".join(f"{angle:g}" for angle in np.round(angles, 1))
-        raise ValueError(
-            f"{source} names a beam at {degrees:g} deg, but the robot's beams are at {known} deg"
-        )
-    found = robot.beams[int(np.argmin(off))]
-    reach = found.max_range if max_range is None else min(found.max_range, max_range)
-    if reach <= found.min_range:
-        raise ValueError(
-            f"the largest range must be above the beam's shortest of {found.min_range:g} m, not "
-            f"{reach:g}"
-        )
-    return replace(found, max_range=reach, period=1, phase=0)
+    beams = []
+    for index in nearest_beams(np.degrees(robot.beam_angles), directions, "the robot's beams"):
+        found = robot.beams[index]
+        reach = found.max_range if max_range is None else min(found.max_range, max_range)
+        if reach <= found.min_range:
+            raise ValueError(
+                f"the largest range must be above the beam's shortest of {found.min_range:g} m, "
+                f"not {reach:g}"
+            )
+        beams.append(replace(found, max_range=reach, period=1, phase=0))
+    return beams
 
 
 def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:

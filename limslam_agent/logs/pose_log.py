@@ -67,7 +67,9 @@ def choose_beams(angles: FloatArray, beams_deg: Sequence[float] | None) -> list[
     return list(dict.fromkeys(nearest))
 
 
-def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
+def nearest_beams(
+    angles: FloatArray, beams_deg: Sequence[float], beams: str = "the log's beams"
+) -> list[int]:
     """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError if
     no direction is given, no beam lies within 1 degree of a direction, or one beam is nearest to
     two directions.
@@ -85,8 +87,8 @@ def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
             few = len(angles) <= SPARSE_BEAMS
             there = f"at {known}" if few else f"from {angles.min():g} to {angles.max():g}"
             raise ValueError(
-                f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: the log's "
-                f"beams are {there} deg"
+                f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: {beams} "
+                f"are {there} deg"
             )
         if index in chosen:
             # A reading that is used twice would count as two measurements.

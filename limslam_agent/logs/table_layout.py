@@ -201,12 +201,11 @@ def range_directions(
             pairs = zip(directions, order, strict=True)
             if all(apart(beam, degrees) <= words_allow for degrees, beam in pairs):
                 return _assigned(ranges, order)
+    far = next((each for each in directions if abs(each) > 360.0), None)
+    if far is not None:
+        raise ValueError(f"{source} names a beam at {far:g} deg, which is not within 360 deg")
     turns = [round(degrees % 360.0, 6) for degrees in directions]
     for degrees, turn in zip(directions, turns, strict=True):
-        if abs(degrees) > 360.0:
-            raise ValueError(
-                f"{source} names a beam at {degrees:g} deg, which is not within 360 deg"
-            )
         if turns.count(turn) > 1:
             raise ValueError(f"{source} names the beam at {degrees:g} deg twice")
     return directions, ()

@@ -4,6 +4,7 @@ which file.
 
 import math
 import sys
+from collections import Counter
 from functools import partial
 
 import numpy as np
@@ -15,23 +16,6 @@ from limslam_env import RobotSpec
 from limslam_env.geometry import se2
 
 
-def count_calls(function, *arguments):
-    """How many calls of Python and C functions a call makes, and what it returns."""
-    calls = 0
-
-    def count(_frame, event, _argument):
-        nonlocal calls
-        calls += event in {"call", "c_call"}
-
-    before = sys.getprofile()
-    sys.setprofile(count)
-    try:
-        result = function(*arguments)
-    finally:
-        sys.setprofile(before)
-    return calls, result
-
-
 @pytest.fixture
 def write(write):
     return partial(write, name="some.clf")
@@ -40,20 +24,15 @@ def write(write):
 SIX = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 
 
-def scan(
-    ranges=181,
-    odometry=(0.0, 0.0, 0.0),
-    laser=None,
-    at=1.0,
-):
+def scan(ranges=181, odometry=(0.0, 0.0, 0.0), laser=None, at=1.0):
     """A FLASER line; a number of ranges stands for as many readings of 2 m."""
     values = [2.0] * ranges if isinstance(ranges, int) else ranges
     words = ["FLASER", len(values), *values, *(laser or odometry), *odometry, at, "host", 0.5]
     return " ".join(map(str, words)) + "\n"
 
 
-def odom(pose=(0.0, 0.0, 0.0), at=1.0):
-    return f"ODOM {pose[0]} {pose[1]} {pose[2]} 0 0 0 {at} host 0.5\n"
+def odom(x=0.0, y=0.0, heading=0.0, at=1.0):
+    return f"ODOM {x} {y} {heading} 0 0 0 {at} host 0.5\n"
 
 
 def changed(column, value, count=181):
@@ -67,12 +46,11 @@ def changed(column, value, count=181):
 
 def test_events_keep_the_order_of_the_file_and_use_ipc_time(write):
     path = write(
-        "# a comment\n",
-        "PARAM robot_length 0.5\n",
-        odom((0.0, 0.0, 0.0), at=10.0),
+        "# a comment\nPARAM robot_length 0.5\n",
+        odom(at=10.0),
         scan(odometry=(1.0, 0.5, 0.1), at=10.2),
         "\n",
-        odom((1.5, 0.5, 3.0 + 2.0 * math.pi), at=10.1),
+        odom(1.5, 0.5, 3.0 + 2.0 * math.pi, at=10.1),
         "RLASER 0 1 2 3\n",
         scan(odometry=(2.0, 0.5, -4.0), at=10.4),
     )
@@ -82,10 +60,7 @@ def test_events_keep_the_order_of_the_file_and_use_ipc_time(write):
     expected = np.array([[0.0, 0, 0], [1, 0.5, 0.1], [1.5, 0.5, 3], [2, 0.5, 2 * math.pi - 4]])
     np.testing.assert_allclose(log.odometry, expected)
     np.testing.assert_array_equal(log.ranges[:, 0], np.float32([3.0, 2.0, 3.0, 2.0]))
-    assert log.ranges.dtype == np.float32
-    assert (log.wheels, log.true_pose) == (None, None)
     np.testing.assert_array_equal(log.start_pose, np.zeros(3))
-    assert len(log) == 4
 
 
 @pytest.mark.parametrize(("count", "last"), [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0)])
@@ -138,21 +113,19 @@ def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write):
 def test_observations_hold_the_motion_in_the_robots_own_frame(write):
     half = math.pi / 2
     path = write(
-        odom((5.0, 5.0, half)),
+        odom(5.0, 5.0, half),
         scan(odometry=(5.0, 6.0, half)),
         scan(odometry=(4.0, 6.0, -math.pi)),
-        odom((3.0, 6.0, 3.0)),
+        odom(3.0, 6.0, 3.0),
     )
     observations = list(read_log(path, SIX, 3.0).observations())
     expected = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, half], [1, 0, 3 - math.pi]])
-    np.testing.assert_allclose(
-        np.array([o["odometry"] for o in observations]), expected, atol=1e-12
-    )
-    assert all("wheels" not in o for o in observations)
+    motions = [each["odometry"] for each in observations]
+    np.testing.assert_allclose(motions, expected, atol=1e-12)
+    assert not any("wheels" in each for each in observations)
     # Events without a scan measured nothing, which is not the same as having seen nothing.
-    assert ["ranges" in o for o in observations] == [False, True, True, False]
-    assert all(o["ranges"].dtype == np.float32 for o in observations[1:3])
-    np.testing.assert_array_equal([o["ranges"][0] for o in observations[1:3]], [2.0, 2.0])
+    assert ["ranges" in each for each in observations] == [False, True, True, False]
+    assert observations[1]["ranges"].dtype == np.float32
 
 
 # Impossible times
@@ -223,7 +196,7 @@ def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write):
 
 def test_scans_without_a_pose_take_that_of_odometry(write):
     numbered = [0.5 + 0.001 * beam for beam in range(181)]
-    lines = [odom((0.1 * at, 0.0, 0.0), at=10.0 + at) for at in range(5)]
+    lines = [odom(0.1 * at, at=10.0 + at) for at in range(5)]
     scans = [raw_laser(9.5 + at, numbered) for at in range(6)]
     log = read_log(
         write(*[each for both in zip(scans[:-1], lines, strict=True) for each in both], scans[-1]),
@@ -307,13 +280,10 @@ def test_our_own_log_comes_back_as_it_was(tmp_path, save):
     assert log.has_scan.all()
     for name in ("time", "ranges", "wheels", "true_pose", "start_pose"):
         np.testing.assert_array_equal(getattr(log, name), arrays[name])
-    observations = list(log.observations())
-    assert all(
-        "odometry" not in o and o["wheels"].dtype == o["ranges"].dtype == np.float32
-        for o in observations
-    )
-    np.testing.assert_array_equal([o["wheels"] for o in observations], arrays["wheels"])
-    np.testing.assert_array_equal([o["ranges"] for o in observations], arrays["ranges"])
+    for name in ("ranges", "wheels"):
+        observed = np.array([each[name] for each in log.observations()])
+        assert observed.dtype == np.float32
+        np.testing.assert_array_equal(observed, arrays[name])
 
 
 @pytest.mark.parametrize("name", sorted(own_log()))
@@ -377,20 +347,19 @@ def test_a_log_is_opened_by_what_it_is(write, tmp_path):
 )
 def test_a_real_log_is_read_whole_and_with_little_work(name, events, scans, seconds, metres):
     path = data_folder() / name
-    calls, log = count_calls(read_log, path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
+    calls = Counter()
+    before = sys.getprofile()
+    sys.setprofile(lambda _frame, event, _argument: calls.update([event]))
+    try:
+        log = read_log(path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
+    finally:
+        sys.setprofile(before)
     assert (len(log), int(log.has_scan.sum())) == (events, scans)
-    assert log.time[-1] - log.time[0] == pytest.approx(seconds, abs=0.1)
-    assert np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum() == pytest.approx(metres, abs=0.1)
-    assert [beam.side for beam in log.robot.beams] == [
-        "right",
-        "right",
-        "none",
-        "none",
-        "left",
-        "left",
-    ]
+    assert np.ptp(log.time) == pytest.approx(seconds, abs=0.1)
+    driven = np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum()
+    assert driven == pytest.approx(metres, abs=0.1)
     assert np.all(log.ranges[~log.has_scan] == 5.0)
     assert 0.02 < np.mean(log.ranges[log.has_scan] == 5.0) < 0.5
     # 67 calls for each event, which take a tenth of a millisecond; a call for each value of a scan
     # would make 360.
-    assert calls < 130 * events
+    assert calls["call"] + calls["c_call"] < 130 * events

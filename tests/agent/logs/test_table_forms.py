@@ -189,18 +189,11 @@ def test_the_unit_of_times_is_found_from_the_spacing_of_the_rows(write, unit, se
     assert log.notes[0].startswith(f"the times are read in {unit}, since the rows are")
 
 
-@pytest.mark.parametrize(
-    "clock",
-    [
-        "2026-11-28T14:00:{:04.1f}",
-        "2026-11-28 14:00:{:04.1f}",
-        "2026-11-28T14:00:{:04.1f}Z",
-        "14:00:{:04.1f}",
-    ],
-)
+@pytest.mark.parametrize("clock", ["2026-11-28T{}", "2026-11-28 {}", "2026-11-28T{}Z", "{}"])
 def test_times_of_the_calendar_are_read(write, clock):
-    rows = [f"{clock.format(second)},{0.1 * second},0,0,1" for second in np.arange(0, 50, 0.5)]
-    log = read_log(write("\n".join(["time,x,y,theta,r_0", *rows]) + "\n"))
+    times = [clock.format(f"14:00:{second:04.1f}") for second in np.arange(0, 50, 0.5)]
+    rows = (f"{time},{row},0,0,1\n" for row, time in enumerate(times))
+    log = read_log(write("time,x,y,theta,r_0\n", *rows))
     np.testing.assert_allclose(np.diff(log.time), 0.5, atol=1e-6)
 
 
@@ -312,9 +305,10 @@ def test_ranges_without_a_direction_need_a_robot_of_as_many_beams(write):
 def test_sides_alone_are_ranges_beside_other_wheels(write):
     robot = RobotSpec(beams=beams_on_rim((90.0, 0.0, 180.0, -90.0), 0.1, max_range=2.0))
     names = ("left", "front", "back", "right")
-    path = write(table({"t": TIME, "enc_l": LEFT, "enc_r": RIGHT}, names))
-    log = read_log(path, table=TableOptions(robot))
+    path = write(table({"t": TIME, "enc_l": LEFT, "enc_r": RIGHT}, names, metres=0.001))
+    log = read_log(path, table=TableOptions(robot, range_unit="mm"))
     np.testing.assert_allclose(log.wheels[1:], WHEELS[1:])
+    np.testing.assert_allclose(log.ranges, RANGES, atol=1e-6)
     np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [90.0, 0.0, 180.0, -90.0])
 
 
@@ -398,15 +392,19 @@ def test_text_before_the_header_is_skipped_and_counted(write):
     ],
 )
 def test_a_damaged_line_is_left_out_and_named(write, damage, words):
-    lines = PLAIN.splitlines()
-    lines[50] = damage
-    log = read_log(write("\n".join(lines) + "\n"), table=TableOptions(ROBOT))
+    log = read_log(write(with_lines({50: damage})), table=TableOptions(ROBOT))
     assert len(log) == COUNT - 1
     np.testing.assert_allclose(log.wheels[1:49], WHEELS[1:49])
     note, gap = log.notes
     assert note.startswith("1 damaged line was left out: line 51: ")
     assert words in note
     assert gap.startswith("1 wheel report is missing")
+
+
+def with_lines(changed):
+    """The plain table with other texts in some of its lines."""
+    lines = PLAIN.splitlines()
+    return "".join(f"{changed.get(row, line)}\n" for row, line in enumerate(lines))
 
 
 def test_a_counter_that_jumps_for_one_row_is_a_damaged_line(write):
@@ -427,35 +425,34 @@ def test_a_last_line_that_was_cut_is_left_out_of_a_short_table(write):
 
 
 def test_more_damaged_lines_than_one_in_twenty_are_refused_with_the_first(write):
-    lines = PLAIN.splitlines()
-    for row in range(10, 17):
-        lines[row] = "lost packet"
-    message = refusal(write("\n".join(lines) + "\n"), table=TableOptions(ROBOT))
+    lost = dict.fromkeys(range(10, 17), "lost packet")
+    message = refusal(write(with_lines(lost)), table=TableOptions(ROBOT))
     assert "line 11: 1 column where the header names 7, in 'lost packet'" in message
     assert "7 of 120 lines cannot be read as rows of the table" in message
-    lines[10] = PLAIN.splitlines()[10]
-    log = read_log(write("\n".join(lines) + "\n"), table=TableOptions(ROBOT))
+    del lost[10]
+    log = read_log(write(with_lines(lost)), table=TableOptions(ROBOT))
     assert log.notes[0].startswith("6 damaged lines were left out: the first is line 12: ")
 
 
 # The command
 
 
-def test_a_dry_run_says_how_each_column_is_read_and_stops(tmp_path):
+def test_a_dry_run_says_how_each_column_is_read_and_stops(write):
     columns = {
         "millis": 1e3 * TIME,
         "encL": TICKS[:, 0],
         "encR": TICKS[:, 1],
         "battery": 0 * TIME + 7.4,
-        "yaw": np.degrees(POSES[:, 2]),
+        "yaw": np.degrees(HEADING),
     }
-    (tmp_path / "own.csv").write_text(table(columns, metres=0.001))
-    (tmp_path / "robot.toml").write_text(
-        "radius = 0.06\naxle = 0.12\nbeams_deg = [90, 45, -45, -90]\nmax_range = 2.0\n"
+    write(
+        "radius = 0.06\naxle = 0.12\nbeams_deg = [90, 45, -45, -90]\nmax_range = 2.0\n",
+        name="robot.toml",
     )
+    path = write(table(columns, metres=0.001))
     units = ("--metres-per-tick", "0.0001", "--accumulated", "--range-unit", "mm")
-    arguments = ("own.csv", "--robot", "robot.toml", *units, "--dry-run")
-    finished = limslam("replay", *arguments, cwd=tmp_path)
+    folder = path.parent
+    finished = limslam("replay", path, "--robot", "robot.toml", *units, "--dry-run", cwd=folder)
     assert finished.returncode == 0, finished.stderr
     for line in (
         "column      millis -> time, ms",
@@ -469,7 +466,7 @@ def test_a_dry_run_says_how_each_column_is_read_and_stops(tmp_path):
     ):
         assert line in finished.stdout
     assert "1 column is not used: battery" in finished.stderr
-    assert not (tmp_path / "runs").exists()
+    assert not (folder / "runs").exists()
 
 
 def test_a_wrong_column_ends_the_command_with_one_line(write):
@@ -496,7 +493,7 @@ def test_numbers_that_overflow_raise_no_warning(write, column):
     huge = np.where(STEPS % 2, 1.7e308, -1.7e308)
     columns = {"t": TIME, "left": LEFT, "right": RIGHT, "qx": TIME, "qy": TIME, "qz": TIME}
     path = write(table({**columns, column: huge}))
-    options = TableOptions(robot=ROBOT, accumulated=True)
+    options = TableOptions(ROBOT, accumulated=True)
     if column == "left":
         assert "a wheel travels inf m" in refusal(path, table=options)
     else:

@@ -242,7 +242,7 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
     ("text", "changes", "words"),
     [
         (WHEELS + METRES, {"robot": None}, "a table of wheel travel needs --robot FILE"),
-        ("t,left,right,r_0\n0,0,0,1\n", {}, "at 0 deg, but the robot's beams are at 90, 54, -54"),
+        ("t,left,right,r_0\n0,0,0,1\n", {}, "no beam within 1 deg of 0 deg: the robot's beams are"),
         ("t,left,r_0\n0,0,1\n", {}, "no column with right beside left: found t,left,r_0"),
         (WHEELS + "0,0,0,1,1,1,7\n", {}, "or begin it with #; or --columns names the columns in"),
         (WHEELS + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", {}, "steps back by 5.0 s: if the robot was"),
@@ -315,7 +315,7 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
         ("t,left,right", "--columns has no column with a range"),
         ("t,left,right,battery", "--columns: 'battery' is no name of a column"),
         ("t,left,right,r_90,r_90", "--columns names the beam at 90 deg twice"),
-        ("t,left,right,r_0", "--columns names a beam at 0 deg"),
+        ("t,left,right,r_0", "no beam within 1 deg of 0 deg: the robot's beams are at"),
         ("t,left,right,r_90,r_54", "line 2: 6 columns where --columns names 5"),
     ],
 )
