@@ -113,10 +113,11 @@ AGENT = {
         *agent("config", "kernels", "slam.graph"),
     },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
+    "limslam_agent.record": WHAT_AN_AGENT_MAY_KNOW,
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("dropouts", "config", "grid", "kernels", "slam.core"),
+        *agent("dropouts", "config", "grid", "kernels", "record", "slam.core"),
     },
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
@@ -129,6 +130,7 @@ AGENT = {
             "grid",
             "kernels",
             "status",
+            "record",
             "map_file",
             "safe_files",
         ),
@@ -144,7 +146,7 @@ AGENT = {
     },
     "limslam_agent.mapping": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "grid", "places", "policies", "status"),
+        *agent("belief", "config", "grid", "places", "policies", "record", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
@@ -190,7 +192,7 @@ AGENT = {
             "output",
             "places",
         ),
-        *agent("replay", "status"),
+        *agent("record", "replay", "status"),
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
