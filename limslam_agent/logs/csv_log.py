@@ -12,6 +12,10 @@ Columns may have other names and units, in any order (`limslam_agent.logs.column
 odometry other forms (`limslam_agent.logs.table_motion`). The robot on which the beams sit is in
 `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and
 ``inf`` means that the beam saw nothing (`limslam_agent.readings`).
+
+A table is read in stages: its lines become a header and rows of numbers (`table_text`), the columns
+of the header get their uses (`columns`, `table_layout`), the numbers of the odometry become wheel
+travel or poses (`table_motion`), and those with the ranges a log (here).
 """
 
 import math
