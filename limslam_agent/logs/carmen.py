@@ -35,6 +35,7 @@ from limslam_agent.logs.recorded_log import (
     parse_range,
     read_lines,
 )
+from limslam_agent.logs.wording import listed, was
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import SensorSpec, side_of
 from limslam_env.messages import counted
@@ -159,10 +160,9 @@ class _Events:
         """The kinds of lines that were left out, and how many there are. Empty if there are
         none.
         """
-        most = self.left_out.most_common(_MOST_NAMED)
-        kinds = ", ".join(f"{number} {kind.decode('ascii')}" for kind, number in most)
-        more = ", ..." if len(self.left_out) > _MOST_NAMED else ""
-        return f"lines of kinds that are not read were left out: {kinds}{more}" if kinds else ""
+        most = self.left_out.most_common()
+        kinds = listed([f"{number} {kind.decode('ascii')}" for kind, number in most], _MOST_NAMED)
+        return f"lines of kinds that are not read were left out: {kinds}" if kinds else ""
 
     def _add_scan(self, kind: bytes, fields: list[bytes]) -> None:
         begin = 1 if kind == _FLASER else 1 + _LASER_FIELDS
@@ -255,8 +255,8 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
         notes.append(f"the times begin at {first:g} s; {-first:g} s were added to all of them")
     kept = time >= 0.0
     if untimed := int((~kept).sum()):
-        were = "were" if untimed > 1 else "was"
-        notes.append(f"{counted(untimed, 'line')} with a negative time {were} left out")
+        lines = counted(untimed, "line")
+        notes.append(f"{lines} with a negative time {was(untimed)} left out")
     gaps = list[int]()
     mount = np.zeros(3)
     is_posed = has_scan & ~is_raw & kept

@@ -41,6 +41,7 @@ from limslam_agent.logs.table_layout import Header, Layout, layout_of, range_dir
 from limslam_agent.logs.table_motion import Odometry
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.logs.table_text import Rows, has_rows_of_numbers, split_header
+from limslam_agent.logs.wording import listed, was
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.messages import counted
@@ -238,18 +239,18 @@ def _notes_of_text(rows: Rows) -> list[str]:
     """What was left out of the text."""
     notes = []
     if skipped := rows.header.skipped:
-        were = "were" if skipped > 1 else "was"
-        notes.append(f"{counted(skipped, 'line')} of text before the table {were} skipped")
+        lines = counted(skipped, "line")
+        notes.append(f"{lines} of text before the table {was(skipped)} skipped")
     if rows.damaged:
-        were = "were left out: the first is" if rows.damaged > 1 else "was left out:"
-        notes.append(f"{counted(rows.damaged, 'damaged line')} {were} {rows.first_damage}")
+        lines = counted(rows.damaged, "damaged line")
+        first = "the first is " if rows.damaged > 1 else ""
+        notes.append(f"{lines} {was(rows.damaged)} left out: {first}{rows.first_damage}")
     if rows.repeated:
         lines = counted(rows.repeated, "line")
         notes.append(f"{lines} repeated the line before, and count once")
     if unused := rows.layout.unused:
-        more = f" and {len(unused) - _MOST_IGNORED} more" if len(unused) > _MOST_IGNORED else ""
         are = "columns are" if len(unused) > 1 else "column is"
-        notes.append(f"{len(unused)} {are} not used: {', '.join(unused[:_MOST_IGNORED])}{more}")
+        notes.append(f"{len(unused)} {are} not used: {listed(unused, _MOST_IGNORED)}")
     return notes
 
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.logs.wording import listed, was
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 from limslam_env.messages import counted
 
@@ -186,10 +187,9 @@ def without_excursions(time: FloatArray, poses: FloatArray) -> tuple[FloatArray,
     mended[off] = _interpolated(np.flatnonzero(~off), poses[~off], rows)
     mended[:, 2] = se2.wrap_angle(mended[:, 2])
     replaced = counted(len(rows), "odometry pose")
-    were = "were" if len(rows) > 1 else "was"
     note = (
-        f"{replaced}, the first one at {time[rows[0]] - time[0]:.1f} s, {were} off the path for a "
-        "moment, and replaced: are poses of two programs mixed?"
+        f"{replaced}, the first one at {time[rows[0]] - time[0]:.1f} s, {was(len(rows))} off the "
+        "path for a moment, and replaced: are poses of two programs mixed?"
     )
     return mended, (note,)
 
@@ -222,10 +222,10 @@ class SilentTimes(NamedTuple):
         count = int(self.hold(wanted).sum())
         if not count:
             return ()
-        spans = (self.spans[:_MOST_NAMED] - wanted[0]).tolist()
-        where = ", ".join(f"{begin:.1f} to {end:.1f} s" for begin, end in spans)
-        were = "were" if count > 1 else "was"
-        return (f"{counted(count, 'scan')} without odometry {were} left out, from {where}",)
+        spans = (self.spans - wanted[0]).tolist()
+        where = listed([f"{begin:.1f} to {end:.1f} s" for begin, end in spans], _MOST_NAMED)
+        scans = counted(count, "scan")
+        return (f"{scans} without odometry {was(count)} left out, from {where}",)
 
 
 class OdometryStream:
@@ -263,7 +263,5 @@ class OdometryStream:
 
 def breaks_in_words(breaks: Sequence[OdometryBreak]) -> str:
     """What is known of the breaks of a log, in a sentence."""
-    words = ", ".join(each.words for each in breaks[:_MOST_NAMED])
-    others = len(breaks) - _MOST_NAMED
-    more = f", and {counted(others, 'more break')}" if others > 0 else ""
-    return f"the odometry {words}{more}: how the robot moved there is not known"
+    words = listed([each.words for each in breaks], _MOST_NAMED)
+    return f"the odometry {words}: how the robot moved there is not known"

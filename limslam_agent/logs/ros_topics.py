@@ -27,6 +27,7 @@ from limslam_agent.logs.ros_messages import (
     stamp_of,
     yaw_of,
 )
+from limslam_agent.logs.wording import listed
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import SensorSpec
 
@@ -259,10 +260,7 @@ def _contents(bag: Bag) -> str:
         f"{topic} ({kind}{'' if bag.counts[topic] else ', empty'})"
         for topic, kind in sorted(bag.types.items())
     ]
-    if not names:
-        return "it has no topics at all"
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return f"it has {', '.join(names[:_MOST_NAMED])}{more}"
+    return f"it has {listed(names, _MOST_NAMED) or 'no topics at all'}"
 
 
 def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:

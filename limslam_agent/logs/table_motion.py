@@ -12,6 +12,7 @@ from limslam_agent.logs.lost_reports import gaps_in
 from limslam_agent.logs.pose_log import median_spacing
 from limslam_agent.logs.table_layout import QUATERNION, WHEELS, Layout
 from limslam_agent.logs.table_options import TOO_FAST, TableOptions
+from limslam_agent.logs.wording import listed
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec
 
@@ -189,11 +190,11 @@ class Odometry:
             restarts = np.flatnonzero(is_far & (np.abs(counters) <= farthest).all(axis=1))
             travel[restarts] = counters[restarts]
             if len(restarts):
-                when = ", ".join(f"{self._time[row]:.1f} s" for row in restarts[:_MOST_NAMED])
-                more = ", ..." if len(restarts) > _MOST_NAMED else ""
+                when = [f"{seconds:.1f} s" for seconds in self._time[restarts].tolist()]
                 self.notes.append(
-                    f"the counters of the wheels begin again at 0 at {when}{more}, as of a board "
-                    "that was switched on again: how the robot moved there is not known"
+                    f"the counters of the wheels begin again at 0 at {listed(when, _MOST_NAMED)}, "
+                    "as of a board that was switched on again: how the robot moved there is not "
+                    "known"
                 )
         travel[0] = 0.0
         return travel * metres
