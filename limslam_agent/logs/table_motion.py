@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.logs.columns import MEASURED, SCALE_OF, Dimension, Role
+from limslam_agent.logs.columns import MEASURED, SCALE_OF, UNITS, Dimension, Role
 from limslam_agent.logs.headings import FULL_TURN, heading_beside_wheels
 from limslam_agent.logs.lost_reports import gaps_in
 from limslam_agent.logs.pose_log import median_spacing
@@ -79,8 +79,7 @@ class Odometry:
         has_poses = Role.X in layout.motion
         self._is_travel = not has_poses and (layout.is_speed or not options.accumulated)
         if has_poses:
-            position = [self._scaled(role, "m") for role in (Role.X, Role.Y)]
-            self.poses = np.column_stack((*position, self._heading()))
+            self.poses = np.column_stack((self._si(Role.X), self._si(Role.Y), self._heading()))
         else:
             axle = 1.0 if robot is None else robot.axle
             has_wheels = Role.LEFT in layout.motion
@@ -152,11 +151,36 @@ class Odometry:
             "--accumulated says that they count from the start"
         )
 
-    def _scaled(self, role: Role, usual: str) -> FloatArray:
-        """A column in m, rad, m/s or rad/s. ``usual`` is its unit where nothing says another."""
-        unit = self._options.unit_of(self._layout.column(role)) or usual
+    def _si(self, role: Role) -> FloatArray:
+        """A column in m, rad, m/s or rad/s."""
+        unit = self._options.unit_of(self._layout.column(role)) or self._likely_unit(role)
         self.units[role] = unit
         return self._values[role] * SCALE_OF[unit]
+
+    def _likely_unit(self, role: Role) -> str:
+        """The unit of a column where nothing says it: degrees if in radians the robot would turn
+        faster than any does.
+        """
+        column = self._layout.column(role)
+        dimension = MEASURED.get(role, Dimension.SPEED)
+        usual, second, *_ = UNITS[dimension]
+        rates = self._values[role]
+        if dimension is Dimension.ANGLE:
+            is_total = role is not Role.ANGLE or self._options.accumulated
+            is_narrow = is_total and np.ptp(rates) < FULL_TURN
+            steps = np.diff(rates) if is_total else rates[1:]
+            rates = steps[:0] if is_narrow else steps / np.maximum(self._spacing[1:], 1e-9)
+        elif dimension is not Dimension.TURN_RATE:
+            return usual
+        moving = np.abs(rates[rates != 0.0])
+        fast = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
+        if fast <= _FASTEST_TURN:
+            return usual
+        self.notes.append(
+            f"the column {column.name} is read in {second}: in radians the robot would turn at "
+            f"{fast:.3g} rad/s; --angle-unit says another unit"
+        )
+        return second
 
     def _wheels(self, robot: RobotSpec | None) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before. What they travelled before the
@@ -168,10 +192,19 @@ class Odometry:
                 "beams"
             )
         options = self._options
-        if self._layout.is_speed:
-            speeds = np.column_stack([self._wheel_speed(role) for role in WHEELS])
-            return speeds * self._lasted[:, None]
         columns = [self._layout.column(role) for role in WHEELS]
+        if self._layout.is_speed:
+            speeds = np.column_stack([self._si(role) for role in WHEELS])
+            turning = [each for each in columns if each.dimension is Dimension.TURN_RATE]
+            if turning:
+                if options.wheel_radius is None:
+                    raise ValueError(
+                        f"the column {turning[0].name[:40]!r} is the speed of a wheel in "
+                        f"{self.units[Role.LEFT]}: --wheel-radius says the radius of the wheels, "
+                        "m; or --columns names a speed in m/s, as in left_m_s"
+                    )
+                speeds *= options.wheel_radius
+            return speeds * self._lasted[:, None]
         per_tick = options.metres_per_tick
         units = [each.unit if each.dimension is Dimension.LENGTH else None for each in columns]
         metres: FloatArray = np.array([SCALE_OF[unit] if unit else per_tick for unit in units])
@@ -199,49 +232,33 @@ class Odometry:
         travel[0] = 0.0
         return travel * metres
 
-    def _wheel_speed(self, role: Role) -> FloatArray:
-        """Speed of a wheel (n,), m/s."""
-        column = self._layout.column(role)
-        speed = self._scaled(role, "m/s")
-        if column.dimension is Dimension.SPEED:
-            return speed
-        if self._options.wheel_radius is None:
-            raise ValueError(
-                f"the column {column.name[:40]!r} is the speed of a wheel in {self.units[role]}: "
-                "--wheel-radius says the radius of the wheels, m; or --columns names a speed in "
-                "m/s, as in left_m_s"
-            )
-        return speed * self._options.wheel_radius
-
     def _driven(self, axle: float) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, by a distance and a turn."""
         _, forward_role, turn_role, *_ = self._layout.motion
-        is_rate = MEASURED.get(turn_role) is Dimension.TURN_RATE
-        if forward_role is Role.DISTANCE:
-            forward = self._since_before(self._scaled(forward_role, "m"))
+        if turn_role in (Role.ANGLE, Role.TURN_RATE, Role.YAW_RATE):
+            forward = self._since_before(forward_role, self._lasted)
+            turn = self._since_before(turn_role, self._lasted)
         else:
-            is_heading = turn_role in (Role.HEADING, Role.YAW)
-            lasted = self._spacing if is_heading else self._lasted
-            forward = self._scaled(forward_role, "m/s") * lasted
-        if turn_role is Role.ANGLE:
-            turn = self._since_before(self._in_degrees_if_fast(turn_role))
-        elif is_rate:
-            turn = self._in_degrees_if_fast(turn_role) * self._lasted
-        else:
+            forward = self._since_before(forward_role, self._spacing)
             heading = self._heading()
             turn = se2.wrap_angle(np.diff(heading, prepend=heading[:1]))
         forward[0] = turn[0] = 0.0
         return np.column_stack((forward - 0.5 * axle * turn, forward + 0.5 * axle * turn))
 
-    def _since_before(self, column: FloatArray) -> FloatArray:
-        """A column of travel or turn (n,) since the row before."""
+    def _since_before(self, role: Role, lasted: FloatArray) -> FloatArray:
+        """Travel or turn (n,) since the row before, by a column of it, of its sum, or of a speed
+        that has lasted some time (n,), s.
+        """
+        column = self._si(role)
+        if MEASURED[role] in (Dimension.SPEED, Dimension.TURN_RATE):
+            return column * lasted
         return np.diff(column, prepend=column[:1]) if self._options.accumulated else column.copy()
 
     def _heading(self) -> FloatArray:
         """The heading of poses (n,), rad."""
         if Role.QW not in self._layout.motion:
             role = Role.HEADING if Role.HEADING in self._layout.motion else Role.YAW
-            return self._in_degrees_if_fast(role)
+            return self._si(role)
         heading = self._yaw()
         if not np.isfinite(heading).all():
             row = int(np.argmin(np.isfinite(heading)))
@@ -253,29 +270,6 @@ class Odometry:
         x, y, z, w = (self._values[role] for role in QUATERNION)
         heading = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
         return np.asarray(np.where(np.any((x, y, z, w), axis=0), heading, np.nan))
-
-    def _in_degrees_if_fast(self, role: Role) -> FloatArray:
-        """An angle or a turn rate, rad or rad/s, of which degrees are taken if in radians the robot
-        would turn faster than any does.
-        """
-        column = self._layout.column(role)
-        rates = self._values[role]
-        usual = "rad/s"
-        if MEASURED[role] is Dimension.ANGLE:
-            usual = "rad"
-            is_total = role is not Role.ANGLE or self._options.accumulated
-            is_narrow = is_total and np.ptp(rates) < FULL_TURN
-            steps = np.diff(rates) if is_total else rates[1:]
-            rates = steps[:0] if is_narrow else steps / np.maximum(self._spacing[1:], 1e-9)
-        moving = np.abs(rates[rates != 0.0])
-        fast = float(np.quantile(moving, 0.95)) if len(moving) else 0.0
-        if self._options.unit_of(column) is None and fast > _FASTEST_TURN:
-            usual = usual.replace("rad", "deg")
-            self.notes.append(
-                f"the column {column.name} is read in {usual}: in radians the robot would turn at "
-                f"{fast:.3g} rad/s; --angle-unit says another unit"
-            )
-        return self._scaled(role, usual)
 
     def _inertial(self, turns: FloatArray) -> FloatArray | None:
         """The heading of an inertial measurement unit (n,), rad, beside wheels that turn the robot
