@@ -280,7 +280,7 @@ def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
 def _range_sensor(
     bag: Bag, topic: str, degrees: float | None, mounts: Mounts, max_range: float
 ) -> list[Sensor]:
-    """The single beam of a Range. None if the beam looks up or down."""
+    """The single beam of a Range. Nothing if the beam looks up or down."""
     first = bag.first(topic)
     frame = first.header.frame_id
     mount = mounts.find(frame)
