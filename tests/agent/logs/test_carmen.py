@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from support.data import data_folder, own_log, refusal
 
 from limslam_agent import read_log
@@ -55,12 +56,12 @@ def test_events_keep_the_order_of_the_file_and_use_ipc_time(write):
         scan(odometry=(2.0, 0.5, -4.0), at=10.4),
     )
     log = read_log(path, SIX, 3.0)
-    np.testing.assert_array_equal(log.time, [10.0, 10.2, 10.1, 10.4])
-    np.testing.assert_array_equal(log.has_scan, [False, True, False, True])
+    assert_array_equal(log.time, [10.0, 10.2, 10.1, 10.4])
+    assert_array_equal(log.has_scan, [False, True, False, True])
     expected = np.array([[0.0, 0, 0], [1, 0.5, 0.1], [1.5, 0.5, 3], [2, 0.5, 2 * math.pi - 4]])
-    np.testing.assert_allclose(log.odometry, expected)
-    np.testing.assert_array_equal(log.ranges[:, 0], np.float32([3.0, 2.0, 3.0, 2.0]))
-    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
+    assert_allclose(log.odometry, expected)
+    assert_array_equal(log.ranges[:, 0], np.float32([3.0, 2.0, 3.0, 2.0]))
+    assert_array_equal(log.start_pose, np.zeros(3))
 
 
 @pytest.mark.parametrize(("count", "last"), [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0)])
@@ -70,9 +71,9 @@ def test_beam_layout_follows_from_the_count(write, count, last):
     log = read_log(path, (-90.0, -45.2, 0.0, 45.0, 90.0), 3.0)
     quarter = count // 4
     numbers = np.array([0, quarter, 2 * quarter, 3 * quarter, count - 1])
-    np.testing.assert_allclose(log.ranges[0], 0.5 + 0.001 * numbers, rtol=1e-6)
+    assert_allclose(log.ranges[0], 0.5 + 0.001 * numbers, rtol=1e-6)
     directions = [-90.0, -45.0, 0.0, 45.0, last]
-    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), directions, atol=1e-9)
+    assert_allclose(np.degrees(log.robot.beam_angles), directions, atol=1e-9)
 
 
 def test_beams_keep_the_order_asked_for_and_fill_their_sides(write):
@@ -80,7 +81,7 @@ def test_beams_keep_the_order_asked_for_and_fill_their_sides(write):
     values[0] = 0.5
     robot = (log := read_log(write(scan(values)), (90.0, 18.0, 21.0, -54.0, -90.0), 5.0)).robot
     assert [beam.side for beam in robot.beams] == ["left", "none", "left", "right", "right"]
-    np.testing.assert_array_equal(log.ranges[0], np.float32([1.0, 2.0, 2.0, 2.0, 0.5]))
+    assert_array_equal(log.ranges[0], np.float32([1.0, 2.0, 2.0, 2.0, 0.5]))
     limits = {(beam.x, beam.y, beam.min_range, beam.max_range) for beam in robot.beams}
     assert limits == {(0.0, 0.0, 0.02, 5.0)}
     assert robot.radius == 0.2
@@ -92,7 +93,7 @@ def test_beams_keep_the_order_asked_for_and_fill_their_sides(write):
 )
 def test_a_reading_past_the_cap_or_at_the_lasers_maximum_is_nothing_seen(write, top, cap):
     log = read_log(write(scan(changed(0, top))), SIX, cap)
-    np.testing.assert_array_equal(log.ranges[0], np.float32([cap, 2.0, 2.0, 2.0, 2.0, 2.0]))
+    assert_array_equal(log.ranges[0], np.float32([cap, 2.0, 2.0, 2.0, 2.0, 2.0]))
 
 
 def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write):
@@ -100,14 +101,14 @@ def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write):
     poses = np.outer(np.arange(5.0), [0.3, -0.1, 0.7])
     lines = [scan(odometry=pose, laser=tuple(se2.compose(pose, mount))) for pose in poses]
     beams = read_log(write(*lines), (-90.0, 0.0), 3.0).robot.beams
-    np.testing.assert_allclose([(b.x, b.y) for b in beams], [[0.2, -0.05]] * 2, atol=1e-6)
-    np.testing.assert_allclose([b.angle for b in beams], [0.0, math.pi / 2], atol=1e-6)
+    assert_allclose([(b.x, b.y) for b in beams], [[0.2, -0.05]] * 2, atol=1e-6)
+    assert_allclose([b.angle for b in beams], [0.0, math.pi / 2], atol=1e-6)
     assert [b.side for b in beams] == ["none", "left"]
     # Poses that a mapping program has corrected are no mount.
     lines = [scan(odometry=(s, 0.0, 0.0), laser=(s, 0.1 * s, 0.01 * s)) for s in range(20)]
     beams = read_log(write(*lines), SIX, 3.0).robot.beams
     assert {(b.x, b.y) for b in beams} == {(0.0, 0.0)}
-    np.testing.assert_allclose(np.degrees([b.angle for b in beams]), SIX)
+    assert_allclose(np.degrees([b.angle for b in beams]), SIX)
 
 
 def test_observations_hold_the_motion_in_the_robots_own_frame(write):
@@ -121,7 +122,7 @@ def test_observations_hold_the_motion_in_the_robots_own_frame(write):
     observations = list(read_log(path, SIX, 3.0).observations())
     expected = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, half], [1, 0, 3 - math.pi]])
     motions = [each["odometry"] for each in observations]
-    np.testing.assert_allclose(motions, expected, atol=1e-12)
+    assert_allclose(motions, expected, atol=1e-12)
     assert not any("wheels" in each for each in observations)
     # Events without a scan measured nothing, which is not the same as having seen nothing.
     assert ["ranges" in each for each in observations] == [False, True, True, False]
@@ -176,16 +177,16 @@ def test_scans_that_describe_their_beams_are_read_after_others(write):
     lines += [robot_laser(float(at), numbered, 0.1 * at, -90.0, 1.0) for at in range(3, 9)]
     log = read_log(write(*lines), (-90.0, 0.0), 3.0)
     assert log.has_scan.sum() == len(log) == 9
-    np.testing.assert_allclose(log.ranges, np.tile(np.float32([0.5, 0.59]), (9, 1)), rtol=1e-6)
-    np.testing.assert_allclose(log.odometry[:, 0], 0.1 * np.arange(9), atol=1e-12)
+    assert_allclose(log.ranges, np.tile(np.float32([0.5, 0.59]), (9, 1)), rtol=1e-6)
+    assert_allclose(log.odometry[:, 0], 0.1 * np.arange(9), atol=1e-12)
     assert log.notes == ()
 
 
 def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write):
     readings = [1.0, 30.0, 2.0, 4.0, 5.0]
     log = read_log(write(robot_laser(1.0, readings, 0.0, -120.0, 60.0)), (-120.0, -60.0, 120.0), 40)
-    np.testing.assert_array_equal(log.ranges[0], np.float32([1.0, 40.0, 5.0]))
-    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [-120.0, -60.0, 120.0], atol=1e-3)
+    assert_array_equal(log.ranges[0], np.float32([1.0, 40.0, 5.0]))
+    assert_allclose(np.degrees(log.robot.beam_angles), [-120.0, -60.0, 120.0], atol=1e-3)
     message = refusal(write(robot_laser(1.0, readings, 0.0, 0.0, 0.0)))
     assert ": line 1: 5 beams in steps of 0 rad are no scan" in message
     many = robot_laser(1.0, readings, 0.0, 0.0, 1.0).replace(" 5 1.0 30.0", " 999999999 1.0 30.0")
@@ -203,8 +204,8 @@ def test_scans_without_a_pose_take_that_of_odometry(write):
         (0.0,),
     )
     assert log.has_scan.tolist() == [False, *[True, False] * 4]
-    np.testing.assert_allclose(log.odometry[:, 0], 0.05 * np.arange(9), atol=1e-9)
-    np.testing.assert_allclose(log.ranges[log.has_scan], 0.59, rtol=1e-6)
+    assert_allclose(log.odometry[:, 0], 0.05 * np.arange(9), atol=1e-9)
+    assert_allclose(log.ranges[log.has_scan], 0.59, rtol=1e-6)
     assert log.notes == ("2 scans before or after all odometry left out",)
 
 
@@ -279,11 +280,11 @@ def test_our_own_log_comes_back_as_it_was(tmp_path, save):
     assert log.odometry is None
     assert log.has_scan.all()
     for name in ("time", "ranges", "wheels", "true_pose", "start_pose"):
-        np.testing.assert_array_equal(getattr(log, name), arrays[name])
+        assert_array_equal(getattr(log, name), arrays[name])
     for name in ("ranges", "wheels"):
         observed = np.array([each[name] for each in log.observations()])
         assert observed.dtype == np.float32
-        np.testing.assert_array_equal(observed, arrays[name])
+        assert_array_equal(observed, arrays[name])
 
 
 @pytest.mark.parametrize("name", sorted(own_log()))
@@ -328,10 +329,10 @@ def test_a_log_is_opened_by_what_it_is(write, tmp_path):
     ours = (tmp_path / "log.npz").rename(tmp_path / "ours.clf")
     assert read_log(ours).wheels is not None
     theirs = read_log(write(scan(), name="theirs.txt")).robot
-    np.testing.assert_allclose(np.degrees(theirs.beam_angles), SIX)
+    assert_allclose(np.degrees(theirs.beam_angles), SIX)
     assert set(theirs.max_ranges) == {3.0}
     chosen = read_log(write(scan()), (0.0, 30.0), 5.0).robot
-    np.testing.assert_allclose(np.degrees(chosen.beam_angles), [0.0, 30.0])
+    assert_allclose(np.degrees(chosen.beam_angles), [0.0, 30.0])
     assert set(chosen.max_ranges) == {5.0}
 
 

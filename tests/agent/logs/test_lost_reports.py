@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 
 from limslam_agent import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -38,7 +39,7 @@ def test_reports_that_are_missing_or_impossibly_0_are_taken_from_the_speeds_arou
     found = log(np.where(LOST[:, None], report, WHEELS))
     (note,) = found.notes
     assert f"{LOST.sum()} wheel reports are missing or impossibly 0, in gaps of 0.1 to" in note
-    np.testing.assert_array_equal(found.wheel_variances[:, 0] > 0.0, LOST)
+    assert_array_equal(found.wheel_variances[:, 0] > 0.0, LOST)
     off = (found.wheels - WHEELS)[LOST]
     assert np.mean(off**2 / found.wheel_variances[LOST]) < 1.5
     assert [("wheel_variances" in each) for each in found.observations()] == LOST.tolist()
@@ -51,7 +52,7 @@ def test_a_robot_that_stops_and_an_encoder_with_long_ticks_report_0_rightly():
     ticks[::3] = 0.0
     for wheels in (WHEELS, stops, ticks):
         found = log(wheels)
-        np.testing.assert_array_equal(found.wheels, wheels)
+        assert_array_equal(found.wheels, wheels)
         assert not found.notes
 
 
@@ -68,4 +69,4 @@ def test_counters_count_on_while_rows_are_missing(tmp_path):
     left, right = totals = np.cumsum(WHEELS, axis=0).T
     found = read_table(tmp_path, {"left_m": left, "right_m": right}, accumulated=True)
     assert not found.wheel_variances.any()
-    np.testing.assert_allclose(found.wheels.sum(axis=0), totals[:, -1], atol=1e-4)
+    assert_allclose(found.wheels.sum(axis=0), totals[:, -1], atol=1e-4)

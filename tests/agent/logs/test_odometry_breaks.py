@@ -6,6 +6,7 @@ from itertools import accumulate
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 
 from limslam_agent.logs.pose_log import beam, pose_log
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -82,7 +83,7 @@ def test_poses_of_another_program_that_are_mixed_in_are_replaced():
     mixed[455:458, 2] += 2.5
     log = as_log(mixed)
     assert log.breaks == ()
-    np.testing.assert_allclose(log.odometry[:, :2], poses[:, :2], atol=0.02)
+    assert_allclose(log.odometry[:, :2], poses[:, :2], atol=0.02)
     (note,) = log.notes
     assert note.startswith("62 odometry poses, the first one at 1.0 s, were off the path")
 

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from support.data import data_folder
 from support.data import refusal as refused
 
@@ -37,9 +38,9 @@ def test_relations_are_read_plain_and_packed(write, pack):
         b"# t1 t2 x y z roll pitch yaw\n1.5 2.5 0.1 -0.2 9 8 7 0.3\n\n3 4 1 2 0 0 0 -1 # a note\n"
     )
     read = read_relations(write(pack(text)))
-    np.testing.assert_array_equal(read.start_time, [1.5, 3.0])
-    np.testing.assert_array_equal(read.end_time, [2.5, 4.0])
-    np.testing.assert_array_equal(read.relative, [[0.1, -0.2, 0.3], [1.0, 2.0, -1.0]])
+    assert_array_equal(read.start_time, [1.5, 3.0])
+    assert_array_equal(read.end_time, [2.5, 4.0])
+    assert_array_equal(read.relative, [[0.1, -0.2, 0.3], [1.0, 2.0, -1.0]])
 
 
 @pytest.mark.parametrize(
@@ -76,7 +77,7 @@ def test_the_pose_within_a_tenth_of_a_second_is_taken_as_it_is():
     errors = relation_errors(
         relations((0.09, 1.92, 5.0, 0.0, 0.0), (0.0, 1.05, 1.0, 0.0, 0.0)), time, poses
     )
-    np.testing.assert_allclose(errors.translation, 0.0, atol=1e-12)
+    assert_allclose(errors.translation, 0.0, atol=1e-12)
 
 
 def test_between_poses_the_earlier_one_is_moved_on_by_odometry():
@@ -87,7 +88,7 @@ def test_between_poses_the_earlier_one_is_moved_on_by_odometry():
     odometry = np.array([[3.0, 0.0, 0.0], [5.0, 0.0, 0.4]])
     known = relations((0.0, 0.25, 0.5, 0.0, 0.1), (0.0, 0.8, 1.6, 0.0, 0.32))
     errors = relation_errors(known, time, poses, odometry)
-    np.testing.assert_allclose([errors.translation, errors.rotation], 0.0, atol=1e-12)
+    assert_allclose([errors.translation, errors.rotation], 0.0, atol=1e-12)
 
 
 def test_times_may_step_back():
@@ -96,7 +97,7 @@ def test_times_may_step_back():
     errors = relation_errors(
         relations((1.0, 2.0, 1.0, 0.0, 0.0), (0.5, 1.5, 1.0, 0.0, 0.0)), time, poses, poses
     )
-    np.testing.assert_allclose(errors.translation, 0.0, atol=1e-12)
+    assert_allclose(errors.translation, 0.0, atol=1e-12)
 
 
 def test_relations_outside_the_log_are_left_out_and_counted():
@@ -110,7 +111,7 @@ def test_relations_outside_the_log_are_left_out_and_counted():
     )
     errors = relation_errors(known, time, poses, poses)
     assert errors.unmatched == 3
-    np.testing.assert_allclose(errors.translation, [0.0], atol=1e-12)
+    assert_allclose(errors.translation, [0.0], atol=1e-12)
 
 
 # The figures

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from support import bags
 from support.bags import KINDS, Message, distance, fixed, odometry, scan, storage_of, write_bag
 from support.command_line import refused
@@ -43,11 +44,11 @@ def test_scans_and_odometry_are_brought_together_in_every_kind_of_bag(tmp_path, 
     log = read_log(write_bag(tmp_path, drive(), kind))
     assert len(log) == 10
     assert log.has_scan.all()
-    np.testing.assert_allclose(log.time, 10.05 + 0.1 * np.arange(10), atol=1e-6)
-    np.testing.assert_allclose(log.odometry[:, 0], 0.05 + 0.1 * np.arange(10), atol=1e-6)
-    np.testing.assert_allclose(log.ranges, np.tile(np.float32(FIVE), (10, 1)))
-    np.testing.assert_allclose(degrees(log), [-90.0, -45.0, 0.0, 45.0, 90.0], atol=1e-4)
-    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
+    assert_allclose(log.time, 10.05 + 0.1 * np.arange(10), atol=1e-6)
+    assert_allclose(log.odometry[:, 0], 0.05 + 0.1 * np.arange(10), atol=1e-6)
+    assert_allclose(log.ranges, np.tile(np.float32(FIVE), (10, 1)))
+    assert_allclose(degrees(log), [-90.0, -45.0, 0.0, 45.0, 90.0], atol=1e-4)
+    assert_array_equal(log.start_pose, np.zeros(3))
     assert log.robot.control_period == pytest.approx(0.1, abs=1e-6)
     assert {each.max_range for each in log.robot.beams} == {3.0}
     assert {each.min_range for each in log.robot.beams} == {0.05}
@@ -67,11 +68,11 @@ def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
     ranges = [0.5 + 0.005 * index for index in range(360)]
     path = write_bag(tmp_path, rich_drive(ranges, 0.0, 1.0))
     log = read_log(path)
-    np.testing.assert_allclose(degrees(log), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0], atol=1e-4)
+    assert_allclose(degrees(log), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0], atol=1e-4)
     expected = [ranges[index] for index in (270, 315, 345, 15, 45, 90)]
-    np.testing.assert_allclose(log.ranges[0], expected, rtol=1e-6)
+    assert_allclose(log.ranges[0], expected, rtol=1e-6)
     asked = read_log(path, (180.0, 0.4))
-    np.testing.assert_allclose(asked.ranges[0], [1.4, 0.5], rtol=1e-6)
+    assert_allclose(asked.ranges[0], [1.4, 0.5], rtol=1e-6)
     assert "0 deg and 0.3 deg are the same beam" in refusal(path, (0.0, 0.3))
     assert "finite number, not nan" in refusal(path, (math.nan,))
     assert "at least one beam" in refusal(path, ())
@@ -88,7 +89,7 @@ def test_a_laser_without_the_usual_directions_gives_the_nearest(
     tmp_path, first, step, count, expected
 ):
     log = read_log(write_bag(tmp_path, rich_drive([1.0] * count, first, step)))
-    np.testing.assert_allclose(degrees(log), expected, atol=1e-3)
+    assert_allclose(degrees(log), expected, atol=1e-3)
 
 
 def test_where_the_laser_is_mounted_comes_from_tf_static(tmp_path):
@@ -96,9 +97,9 @@ def test_where_the_laser_is_mounted_comes_from_tf_static(tmp_path):
         ("base_link", "plate", 0.1, 0.0, math.pi / 2, 0.0), ("plate", "laser", 0.2, 0.0, 0.0, 0.0)
     )
     log = read_log(write_bag(tmp_path, [mounts, *drive()]))
-    np.testing.assert_allclose([(b.x, b.y) for b in log.robot.beams], [[0.1, 0.2]] * 5, atol=1e-6)
+    assert_allclose([(b.x, b.y) for b in log.robot.beams], [[0.1, 0.2]] * 5, atol=1e-6)
     turned = np.radians(degrees(log) - [0.0, 45.0, 90.0, 135.0, 180.0])
-    np.testing.assert_allclose(np.cos(turned), 1.0, atol=1e-9)
+    assert_allclose(np.cos(turned), 1.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -122,8 +123,8 @@ def test_range_topics_may_be_given_with_their_directions(tmp_path):
     words = "where /range/a points is unknown: set it with --topics /range/a:DEGREES"
     assert words in refusal(path)
     log = read_log(path, None, None, {"range/c": 30.0, "range/left": None})
-    np.testing.assert_allclose(degrees(log), [30.0, 90.0])
-    np.testing.assert_allclose(log.ranges[0], [1.5, 2.0])
+    assert_allclose(degrees(log), [30.0, 90.0])
+    assert_allclose(log.ranges[0], [1.5, 2.0])
 
 
 def test_the_slowest_sensor_sets_the_pace_and_incomplete_events_are_left_out(tmp_path):
@@ -133,9 +134,9 @@ def test_the_slowest_sensor_sets_the_pace_and_incomplete_events_are_left_out(tmp
     messages += [distance(10.02 + 0.4 * step, 2.0, "/right") for step in range(12)]
     log = read_log(write_bag(tmp_path, messages))
     kept = np.array([0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11])  # at 12.42 s the left is silent since 11.9
-    np.testing.assert_allclose(log.time, 10.02 + 0.4 * kept, atol=1e-6)
+    assert_allclose(log.time, 10.02 + 0.4 * kept, atol=1e-6)
     left = degrees(log).tolist().index(90.0)
-    np.testing.assert_allclose(log.ranges[1, left], 1.04, rtol=1e-6)
+    assert_allclose(log.ranges[1, left], 1.04, rtol=1e-6)
 
 
 def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
@@ -146,8 +147,8 @@ def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
         messages.append(scan(10.06 + 0.1 * step, [0.3, 0.4, 0.6], "/rear", frame="behind"))
     path = write_bag(tmp_path, messages)
     log = read_log(path, (0.0, 180.0, 45.0), None, {"scan": None, "rear": None})
-    np.testing.assert_allclose(log.ranges[0], [2.5, 0.4, 1.5], rtol=1e-6)
-    np.testing.assert_allclose([b.x for b in log.robot.beams], [0.2, -0.2, 0.2], atol=1e-6)
+    assert_allclose(log.ranges[0], [2.5, 0.4, 1.5], rtol=1e-6)
+    assert_allclose([b.x for b in log.robot.beams], [0.2, -0.2, 0.2], atol=1e-6)
     assert "has 2 LaserScan topics, /rear, /scan: choose with --topics" in refusal(path)
 
 
@@ -170,10 +171,10 @@ def test_poses_do_as_odometry_and_turn_the_short_way(tmp_path, kind):
         fields = {"header": bags.header(at), **POSES[kind](30.0 + step)}
         messages.append(Message("/pose", kind, at, fields))
     log = read_log(write_bag(tmp_path, messages))
-    np.testing.assert_allclose(log.odometry[:, 0], [30.5, 31.5, 32.5])
+    assert_allclose(log.odometry[:, 0], [30.5, 31.5, 32.5])
     # 3.05, 3.15 and 3.25 rad: over the half turn.
     turned = np.array([3.05, 3.15 - 2 * math.pi, 3.25 - 2 * math.pi])
-    np.testing.assert_allclose(log.odometry[:, 2], turned, atol=1e-9)
+    assert_allclose(log.odometry[:, 2], turned, atol=1e-9)
 
 
 def test_odometry_goes_before_poses_and_two_of_a_kind_are_refused(tmp_path):
@@ -193,8 +194,8 @@ def test_without_stamps_or_with_clocks_that_differ_the_bags_times_are_used(tmp_p
     messages = [odometry(50.0 + step, 0.1 * step, stamp=said[step]) for step in range(4)]
     messages += [scan(50.5 + step, FIVE, stamp=seen + step) for step in range(3)]
     log = read_log(write_bag(tmp_path, messages))
-    np.testing.assert_allclose(log.time, [50.5, 51.5, 52.5])
-    np.testing.assert_allclose(log.odometry[:, 0], [0.05, 0.15, 0.25])
+    assert_allclose(log.time, [50.5, 51.5, 52.5])
+    assert_allclose(log.odometry[:, 0], [0.05, 0.15, 0.25])
 
 
 # What is refused
@@ -278,9 +279,9 @@ def test_odometry_may_be_a_transform(tmp_path, kind):
         seen.append(bags.transforms("/tf", 10.0 + x, ("base_link", "arm", x, 0.0, 0.0, 0.0)))
     seen.append(fixed(("base_link", "laser", 0.2, 0.0, math.pi / 4, 0.0)))
     log = read_log(write_bag(tmp_path, sorted(seen, key=lambda message: message.at), kind))
-    np.testing.assert_allclose(log.odometry[:, 0], 0.05 + 0.1 * np.arange(10), atol=1e-6)
-    np.testing.assert_allclose(log.odometry[:, 1:], 0.0, atol=1e-9)
-    np.testing.assert_allclose(degrees(log), [-45.0, 0.0, 45.0, 90.0, 135.0], atol=1e-4)
+    assert_allclose(log.odometry[:, 0], 0.05 + 0.1 * np.arange(10), atol=1e-6)
+    assert_allclose(log.odometry[:, 1:], 0.0, atol=1e-9)
+    assert_allclose(degrees(log), [-45.0, 0.0, 45.0, 90.0, 135.0], atol=1e-4)
     assert {each.x for each in log.robot.beams} == {0.2}
 
 
@@ -372,28 +373,29 @@ def test_folders_and_missing_files_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "expected"),
+    "case",
     [
-        ("/range/front", 0.0),
-        ("rangeRight", -90.0),
-        ("/ultrasound/rear", 180.0),
-        ("front_left", 45.0),
-        ("FrontRight", -45.0),
-        ("rear_right_link", -135.0),
-        ("range_90deg", 90.0),
-        ("ir_m45deg", -45.0),
-        ("minus_30_deg", -30.0),
-        ("ir-22.5deg", -22.5),
-        ("tof_l", 90.0),
-        ("/sonar_3", None),
-        ("l_sensor", None),
-        ("left_right", None),
-        ("feedback", None),
-        ("", None),
+        "/range/front -> 0",
+        "rangeRight -> -90",
+        "/ultrasound/rear -> 180",
+        "front_left -> 45",
+        "FrontRight -> -45",
+        "rear_right_link -> -135",
+        "range_90deg -> 90",
+        "ir_m45deg -> -45",
+        "minus_30_deg -> -30",
+        "ir-22.5deg -> -22.5",
+        "tof_l -> 90",
     ],
 )
-def test_directions_in_names(name, expected):
-    assert direction_of(name) == expected
+def test_directions_in_names(case):
+    name, degrees = case.split(" -> ")
+    assert direction_of(name) == float(degrees)
+
+
+@pytest.mark.parametrize("name", ["/sonar_3", "l_sensor", "left_right", "feedback", ""])
+def test_names_without_a_direction(name):
+    assert direction_of(name) is None
 
 
 # Real bags
@@ -405,9 +407,9 @@ def test_a_drones_bag_agrees_with_its_numbers_as_text(name, events):
     bag = read_log(folder / f"{name}.bag", None, 2.0)
     text = read_log(folder / f"{name}.csv.gz", None, 2.0)
     assert len(bag) == events
-    np.testing.assert_allclose(degrees(bag), [-90.0, 0.0, 90.0, 180.0], atol=1e-9)
+    assert_allclose(degrees(bag), [-90.0, 0.0, 90.0, 180.0], atol=1e-9)
     rows = slice(-events - 1, -1)  # the text begins before the first position
-    np.testing.assert_array_equal(bag.ranges, text.ranges[rows])
+    assert_array_equal(bag.ranges, text.ranges[rows])
     # The text has the position last heard of, the bag the one at that time: a drone flies 10 cm in
     # a tenth of a second.
     off = bag.odometry - text.odometry[rows]
@@ -432,9 +434,9 @@ def test_a_drones_arrays_are_told_by_their_topics(tmp_path):
     path = write_bag(tmp_path, ranger + position)
     log = read_log(path)
     expected = np.column_stack((rows, np.full(5, 0.2), rows))
-    np.testing.assert_allclose(log.odometry, expected, atol=1e-6)
-    np.testing.assert_allclose(log.ranges[0], [0.5, 1.0, 1.5, 2.0])
-    np.testing.assert_allclose(read_log(path, (90.0, -90.0)).ranges[0], [1.5, 0.5])
+    assert_allclose(log.odometry, expected, atol=1e-6)
+    assert_allclose(log.ranges[0], [0.5, 1.0, 1.5, 2.0])
+    assert_allclose(read_log(path, (90.0, -90.0)).ranges[0], [1.5, 0.5])
     ranger.append(raw("/cf/state_ranger_qxyzw", 10.45, [1.0]))
     short = write_bag(tmp_path, ranger + position, name="short")
     assert "/cf/state_ranger_qxyzw: message 6: " in refusal(short)

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose, assert_array_equal
 from support.data import data_folder, refusal
 
 from limslam_agent import read_log
@@ -31,13 +32,13 @@ def degrees(log):
 def test_a_row_is_an_event(write):
     path = write(HEAD + "0.0,1.0,2.0,3.0,0.5,1.5,2.5\n0.2,1.5,2.0,3.5,0.6,1.6,2.6\n")
     log = read_log(path)
-    np.testing.assert_array_equal(log.time, [0.0, 0.2])
-    np.testing.assert_allclose(log.odometry, [[1.0, 2.0, 3.0], [1.5, 2.0, 3.5 - 2 * math.pi]])
-    np.testing.assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, 2.6]]))
-    np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
+    assert_array_equal(log.time, [0.0, 0.2])
+    assert_allclose(log.odometry, [[1.0, 2.0, 3.0], [1.5, 2.0, 3.5 - 2 * math.pi]])
+    assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, 2.6]]))
+    assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
     assert [beam.side for beam in log.robot.beams] == ["right", "none", "left"]
     assert {beam.max_range for beam in log.robot.beams} == {3.0}
-    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
+    assert_array_equal(log.start_pose, np.zeros(3))
     assert log.robot.control_period == pytest.approx(0.2)
     assert log.has_scan.all()
 
@@ -45,8 +46,8 @@ def test_a_row_is_an_event(write):
 def test_a_dash_says_that_there_was_no_scan(write):
     rows = "0,0,0,0,-,-,-\n0.1,0.1,0,0,1,1,1\n0.2,0.2,0,0,-\n"
     log = read_log(write(HEAD + rows))
-    np.testing.assert_array_equal(log.has_scan, [False, True, False])
-    np.testing.assert_array_equal(log.ranges[0], [3.0, 3.0, 3.0])
+    assert_array_equal(log.has_scan, [False, True, False])
+    assert_array_equal(log.ranges[0], [3.0, 3.0, 3.0])
     assert ["ranges" in each for each in log.observations()] == [False, True, False]
 
 
@@ -69,22 +70,22 @@ def test_headers_may_be_written_in_many_ways(write, head):
             head, "\n", mark.join(("0", "0", "0", "0", "0.5", "1.0", "1.5")), "\n", name="log.txt"
         )
     )
-    np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
-    np.testing.assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
+    assert_allclose(degrees(log), [-90.0, 0.0, 90.0])
+    assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
 
 
 def test_dots_stand_for_the_beams_between(write):
     path = write("t x y theta r[-90] r[-60] ... r[90]\n0 0 0 0 1 2 3 4 5 6 7\n")
     log = read_log(path, None, 10.0)
-    np.testing.assert_allclose(degrees(log), np.arange(-90.0, 91.0, 30.0))
-    np.testing.assert_array_equal(log.ranges[0], np.arange(1.0, 8.0))
+    assert_allclose(degrees(log), np.arange(-90.0, 91.0, 30.0))
+    assert_array_equal(log.ranges[0], np.arange(1.0, 8.0))
 
 
 def test_beams_can_be_chosen_and_are_six_of_many(write):
     names = ",".join(f"r_{angle}" for angle in range(-90, 91, 5))
     path = write(f"t,x,y,theta,{names}\n0,0,0,0{',1' * 37}\n")
-    np.testing.assert_allclose(degrees(read_log(path)), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0])
-    np.testing.assert_allclose(degrees(read_log(path, (30.5, -30.0))), [30.0, -30.0])
+    assert_allclose(degrees(read_log(path)), [-90.0, -45.0, -15.0, 15.0, 45.0, 90.0])
+    assert_allclose(degrees(read_log(path, (30.5, -30.0))), [30.0, -30.0])
     many = "no beam within 1 deg of 32 deg: the log's beams are from -90 to 90 deg"
     assert many in refusal(path, (32.0,))
     few = "no beam within 1 deg of 45 deg: the log's beams are at -90, 0, 90 deg"
@@ -139,7 +140,7 @@ def test_a_bad_header_is_refused(write, head, words):
 @pytest.mark.parametrize("word", ["null", " out of range ", "--"])
 def test_a_word_in_place_of_a_range_is_no_reading(write, word):
     log = read_log(write(f"{HEAD}0,0,0,0,1,{word},1\n0.1,0,0,0,1,1,1\n"))
-    np.testing.assert_array_equal(log.reported, [[1.0, np.nan, 1.0], [1.0, 1.0, 1.0]])
+    assert_array_equal(log.reported, [[1.0, np.nan, 1.0], [1.0, 1.0, 1.0]])
     assert not any("damaged" in note for note in log.notes)
 
 
@@ -147,8 +148,8 @@ def test_a_line_that_a_radio_repeats_counts_once(write):
     lines = [f"{0.1 * row:.1f},0.01,0.02,{1.0 + 0.01 * row:.2f}\n" for row in range(20)]
     once = read_log(write(AHEAD, *lines), table=ONE_BEAM)
     log = read_log(write(AHEAD, *(line for line in lines for _ in range(2))), table=ONE_BEAM)
-    np.testing.assert_array_equal(log.wheels, once.wheels)
-    np.testing.assert_array_equal(log.time, once.time)
+    assert_array_equal(log.wheels, once.wheels)
+    assert_array_equal(log.time, once.time)
     assert log.notes == ("20 lines repeated the line before, and count once",)
 
 
@@ -157,7 +158,7 @@ def test_counters_of_a_board_that_was_switched_on_again_count_from_there(write):
     rows = (f"{0.1 * row:.1f},{count},{count},1.5\n" for row, count in enumerate(ticks))
     options = replace(ONE_BEAM, metres_per_tick=1e-4, accumulated=True)
     log = read_log(write(AHEAD, *rows), table=options)
-    np.testing.assert_allclose(log.wheels[:, 0], [0.0, *[0.01] * 19, 0.001, 0.01, 0.01])
+    assert_allclose(log.wheels[:, 0], [0.0, *[0.01] * 19, 0.001, 0.01, 0.01])
     (note,) = log.notes
     assert note.startswith("the counters of the wheels begin again at 0 at 2.0 s, as of a board")
 
@@ -179,14 +180,14 @@ def test_empty_fields_at_either_end_of_a_line_stay_with_tabs(write):
         (tabs.replace("\t", " \t ").replace("\n", "\t\r\n", 1), robot),
     ):
         log = read_log(write(text), table=options)
-        np.testing.assert_array_equal(log.reported, expected.reported)
+        assert_array_equal(log.reported, expected.reported)
         assert log.notes == expected.notes
 
 
 def test_an_index_without_a_name_is_a_column_that_is_not_used(write):
     rows = (f"{row}\t{0.1 * row:.1f}\t0.01\t0.01\t1.2\n" for row in range(20))
     log = read_log(write("\tt\tleft\tright\tr_0\n", *rows), table=ONE_BEAM)
-    np.testing.assert_allclose(log.time, 0.1 * np.arange(20))
+    assert_allclose(log.time, 0.1 * np.arange(20))
     assert log.notes == ()
 
 
@@ -201,11 +202,11 @@ def test_the_text_of_a_real_log_agrees_with_the_log(name, raw):
     angles = tuple(np.arange(-90.0, 91.0, 15.0).tolist())
     text = read_log(data_folder() / f"{name}.csv.gz", None, 5.0)
     log = read_log(data_folder() / f"{raw}.clf.gz", angles, 5.0)
-    np.testing.assert_allclose(degrees(text), angles)
-    np.testing.assert_array_equal(text.has_scan, log.has_scan)
-    np.testing.assert_allclose(text.ranges, log.ranges, atol=1e-6)
-    np.testing.assert_allclose(text.odometry[:, :2], log.odometry[:, :2], atol=1e-5)
-    np.testing.assert_allclose(text.time, log.time, atol=1e-6)
+    assert_allclose(degrees(text), angles)
+    assert_array_equal(text.has_scan, log.has_scan)
+    assert_allclose(text.ranges, log.ranges, atol=1e-6)
+    assert_allclose(text.odometry[:, :2], log.odometry[:, :2], atol=1e-5)
+    assert_allclose(text.time, log.time, atol=1e-6)
 
 
 ROBOT = RobotSpec(
@@ -220,9 +221,9 @@ TICK_OPTIONS = TableOptions(ROBOT, 0.001, accumulated=True, range_unit="mm", tim
 
 def test_a_row_is_the_travel_since_the_row_before(write):
     log = read_log(write(WHEELS, METRES), table=TableOptions(ROBOT))
-    np.testing.assert_allclose(log.wheels, [[0.0, 0.0], [0.01, 0.02], [0.03, 0.01]])
+    assert_allclose(log.wheels, [[0.0, 0.0], [0.01, 0.02], [0.03, 0.01]])
     assert log.odometry is None
-    np.testing.assert_array_equal(
+    assert_array_equal(
         log.ranges, np.float32([[1.0, 1.5, 2.0], [1.1, 2.0, 0.6], [1.2, math.nan, 0.7]])
     )
     assert (log.robot.axle, log.robot.radius) == (0.115, 0.06)
@@ -234,8 +235,8 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
     log = read_log(path, table=TableOptions(ROBOT, range_unit="mm", time_unit="ms"))
     assert log.robot.beams == (ROBOT.beams[0], ROBOT.beams[2])
     assert log.robot.radius == 0.06
-    np.testing.assert_allclose(log.ranges[0], [1.0, 1.5])
-    np.testing.assert_allclose(log.time, [0.0, 0.1])
+    assert_allclose(log.ranges[0], [1.0, 1.5])
+    assert_allclose(log.time, [0.0, 0.1])
 
 
 @pytest.mark.parametrize(
@@ -258,7 +259,7 @@ def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begi
     step = {"us": 100_000, "ms": 100}[unit]
     rows = "".join(f"{(begin + row * step) % 2**32},0,0,1,1,1\n" for row in range(5))
     log = read_log(write(WHEELS + rows), table=TableOptions(ROBOT, time_unit=unit))
-    np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-6)
+    assert_allclose(np.diff(log.time), 0.1, atol=1e-6)
 
 
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
@@ -268,7 +269,7 @@ def test_a_counter_is_continued_where_it_begins_again(write, bits, has_sign):
     wrapped = (counts - low) % 2**bits + low
     right = 2 * low + 2**bits - 1 - wrapped
     log = counted(write, 0.1 * np.arange(400), wrapped, right, 1e-4)
-    np.testing.assert_allclose(log.wheels[1:], [[0.02, -0.02]] * 399)
+    assert_allclose(log.wheels[1:], [[0.02, -0.02]] * 399)
 
 
 def counted(write, time, left, right, metres_per_tick):
@@ -283,13 +284,13 @@ def counted(write, time, left, right, metres_per_tick):
 def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write):
     counts = np.array([*range(0, 9000, 90), 10500]) % 4096
     log = counted(write, [*range(100), 150], counts, counts, 1e-3)
-    np.testing.assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
+    assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
 
 
 def test_counters_that_pass_0_in_a_gap_are_read(write):
     counts = [-60, -40, -20, 40]
     log = counted(write, [0, 0.1, 0.2, 0.5], counts, counts, 1e-3)
-    np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 0.02, 0.06])
+    assert_allclose(log.wheels[:, 0], [0.0, 0.02, 0.02, 0.06])
 
 
 NAMES = "millis;encL;encR;IR1;IR2;IR3"
@@ -302,8 +303,8 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     for ranges in ("r_90,r_54,r_-90", "-,r_54,r_-90"):
         columns = ("t", "left", "right", *ranges.split(","))
         log = read_log(path, table=replace(TICK_OPTIONS, columns=columns))
-        np.testing.assert_array_equal(log.ranges, ticks.ranges[:, ranges.startswith("-") :])
-        np.testing.assert_array_equal(log.wheels, ticks.wheels)
+        assert_array_equal(log.ranges, ticks.ranges[:, ranges.startswith("-") :])
+        assert_array_equal(log.wheels, ticks.wheels)
 
 
 @pytest.mark.parametrize(
@@ -346,7 +347,7 @@ def test_zones_report_the_distance_along_the_axis_of_their_sensor(write):
     path = write(f"t,x,y,theta,{names}\n0,0,0,0{',1000' * len(zones)}\n")
     options = TableOptions(range_unit="mm", zone_axes=(90.0, -90.0))
     ranges = read_log(path, table=options).ranges[0]
-    np.testing.assert_allclose(ranges, np.tile(1.0 / np.cos(np.radians(off)), 2), rtol=1e-6)
+    assert_allclose(ranges, np.tile(1.0 / np.cos(np.radians(off)), 2), rtol=1e-6)
     assert "no axis lies within 45 deg" in refusal(path, table=replace(options, zone_axes=(90.0,)))
 
 
