@@ -150,20 +150,18 @@ def _ending_by_content(path: FilePath) -> str | None:
 @contextmanager
 def _one_line(path: FilePath) -> Iterator[None]:
     """Turn any error of rosbags into a LogError. A damaged file can cause errors of any type."""
-    try:
-        yield
-    except LogError:
-        raise
-    except OSError as error:
-        raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # errors of rosbags, struct, sqlite or a compressor, and assertions
-        its_own = type(error).__module__.startswith("rosbags") and str(error)
-        reason = str(error) if its_own else f"{type(error).__name__} {error}"
-        what = "cut short, damaged, or of a kind that rosbags cannot read"
-        remedy = f"; {_REMEDIES[suffix]} may mend it" if (suffix := _storage_suffix(path)) else ""
-        raise LogError(
-            f"{fspath(path)}: {what}: {reason[:_LONGEST_REASON].strip()}{remedy}"
-        ) from error
+    with naming(path):
+        try:
+            yield
+        except (LogError, OSError):
+            raise
+        except Exception as error:  # of rosbags, struct, sqlite or a compressor, and assertions
+            its_own = type(error).__module__.startswith("rosbags") and str(error)
+            reason = str(error) if its_own else f"{type(error).__name__} {error}"
+            what = "cut short, damaged, or of a kind that rosbags cannot read"
+            suffix = _storage_suffix(path)
+            remedy = f"; {_REMEDIES[suffix]} may mend it" if suffix else ""
+            raise ValueError(f"{what}: {reason[:_LONGEST_REASON].strip()}{remedy}") from error
 
 
 def _storage_suffix(path: FilePath) -> str | None:

@@ -188,19 +188,14 @@ def range_directions(
         if len(beams) != len(ranges):
             raise ValueError(_without_directions(ranges, robot, source))
         return _assigned(ranges, beams)
-    if robot is not None and any(each.is_word for each in ranges):
-        off = np.array([apart(beams, each) for each in directions])
-        is_one_each = len({*off.argmin(axis=1).tolist()}) == len(directions)
-        is_exact = is_one_each and off.min(axis=1).max() <= WORST_BEAM_MISMATCH_DEG + _ROUNDING_DEG
-        if not is_exact and len(directions) == len(beams):
-            order = beams
-            if len(set(directions)) == len(beams):
-                rank = np.argsort(np.argsort(directions))
-                order = np.sort(beams)[rank].tolist()
-            words_allow = _WORD_PRECISION_DEG + _ROUNDING_DEG
-            pairs = zip(directions, order, strict=True)
-            if all(apart(beam, degrees) <= words_allow for degrees, beam in pairs):
-                return _assigned(ranges, order)
+    if any(each.is_word for each in ranges) and len(directions) == len(beams):
+        order = beams
+        if len(set(directions)) == len(beams):
+            rank = np.argsort(np.argsort(directions))
+            order = np.sort(beams)[rank].tolist()
+        off = max(float(apart(*pair)) for pair in zip(order, directions, strict=True))
+        if WORST_BEAM_MISMATCH_DEG < off - _ROUNDING_DEG <= _WORD_PRECISION_DEG:
+            return _assigned(ranges, order)
     far = next((each for each in directions if abs(each) > 360.0), None)
     if far is not None:
         raise ValueError(f"{source} names a beam at {far:g} deg, which is not within 360 deg")
