@@ -86,11 +86,11 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float] | None, max_range: fl
         check_max_range(max_range)
         events = _Events(beams_deg)
         read_lines(path, events.add)
-        if not events.time:
+        if not events.rows:
             # Any text that is no table is read here, so the message names both.
             table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"
             raise ValueError(f"has no odometry: no ODOM or FLASER line of CARMEN, {table}")
-        if not events.ranges:
+        if not events.scans:
             none = "has no scan: there is no FLASER, ROBOTLASER1 or RAWLASER1 line"
             raise ValueError("; ".join(filter(None, (none, events.others))))
         return _as_log(events, max_range)
@@ -128,11 +128,9 @@ class _Events:
         self.beams_deg = beams_deg
         self.layouts = dict[tuple[bytes, ...], _Layout]()  # by the fields that describe a scan
         self.left_out = Counter[bytes]()
-        self.time = array("d")
-        self.odometry = array("d")
-        self.laser = array("d")
-        self.ranges = array("d")
+        self.rows = array("d")  # time and odometry of each event
         self.kinds = bytearray()  # of each event, as an index into ``_KINDS``
+        self.scans = array("d")  # pose of the laser and ranges of each scan
 
     def add(self, line: bytes) -> None:
         """Process one line. The file ends within a line without a newline."""
@@ -182,13 +180,12 @@ class _Events:
         ranges = [parse_range(readings[each], f"range {each + 1}") for each in layout.columns]
         laser = [parse_number(field, "the laser's pose") for field in tail[: min(time, 3)]]
         self._add_event(kind, tail[3:6] if time else [b"0"] * 3, tail[time])
-        self.ranges.extend(math.inf if each >= layout.farthest else each for each in ranges)
-        self.laser.extend(laser or [0.0] * 3)
+        self.scans.extend(laser or [0.0] * 3)
+        self.scans.extend(math.inf if each >= layout.farthest else each for each in ranges)
 
     def _add_event(self, kind: bytes, pose: list[bytes], time: bytes) -> None:
         odometry = [parse_number(field, "the odometry") for field in pose]
-        self.time.append(parse_number(time, "the time"))
-        self.odometry.extend(odometry)
+        self.rows.extend((parse_number(time, "the time"), *odometry))
         self.kinds.append(_KINDS.index(kind))
 
     def _layout(self, count: int, laser: tuple[bytes, ...]) -> _Layout:
@@ -216,7 +213,7 @@ class _Events:
             )
         tail = fields[2 + count :]
         is_stamped = len(tail) in (3, 6) and not is_number(tail[-2])
-        if not self.time and (is_stamped or len(fields) == 2 + count):
+        if not self.rows and (is_stamped or len(fields) == 2 + count):
             raise ValueError("has no odometry: the scan comes without its poses")
         needed = 2 + count + _TAILS[_FLASER][0]
         raise ValueError(f"{name} has {len(fields)} fields where {needed} are needed")
@@ -237,15 +234,17 @@ def _described(count: int, laser: Sequence[bytes]) -> tuple[FloatArray, float]:
 
 
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
-    time = np.array(events.time)
+    rows = np.array(events.rows).reshape(-1, 4)
+    time = rows[:, 0]
     kinds = np.frombuffer(events.kinds, dtype=np.uint8)
     has_scan = kinds != _KINDS.index(_ODOM)
     is_raw = kinds == _KINDS.index(_RAWLASER)
     angles = np.radians(next(iter(events.layouts.values())).angles)
-    odometry = np.array(events.odometry).reshape(-1, 3)
+    odometry = rows[:, 1:]
     odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
     ranges = np.full((len(time), len(angles)), np.nan)
-    ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, len(angles)))
+    scans = np.array(events.scans).reshape(-1, 3 + len(angles))
+    ranges[has_scan] = _without_codes(scans[:, 3:])
     notes = []
     # A single wrong time does not go on.
     steps = np.diff(time[:_FIRST_TIMES])
@@ -265,8 +264,7 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
         if (raw := int(is_raw.sum())) > int(is_posed.sum()):
             notes.append(f"{counted(raw, 'RAWLASER1 line')} without a pose left out")
         kept &= ~is_raw
-        laser = np.array(events.laser).reshape(-1, 3)
-        mount = _laser_mount(odometry[is_posed], laser[is_posed[has_scan]])
+        mount = _laser_mount(odometry[is_posed], scans[is_posed[has_scan], :3])
     else:
         kept, odometry, gaps, found = _posed(time, odometry, ranges, kept & is_raw, kept & ~is_raw)
         notes += found
