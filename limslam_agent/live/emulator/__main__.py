@@ -54,7 +54,7 @@ class EmulatorOptions(Bounded):
 
 @app.command()
 @takes(EmulatorOptions)
-def emulate(**given: Any) -> None:
+def emulate(**arguments: Any) -> None:
     """Emulate a robot until the process is ended."""
     from limslam_agent.live.emulator.emulator import Body, Emulator, run
     from limslam_agent.live.emulator.ports import PtyPort, RobotAtPort, UdpPort
@@ -62,7 +62,7 @@ def emulate(**given: Any) -> None:
     from limslam_env.config import NoiseConfig
     from limslam_env.worlds.formats.loading import load_world
 
-    chosen = {name: value for name, value in given.items() if value is not None}
+    chosen = {name: value for name, value in arguments.items() if value is not None}
     options = EmulatorOptions(**chosen)
     body = Body(
         load_world(options.world),
