@@ -1,6 +1,6 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost
+What a step does within a frame is in :mod:`limslam_agent.mapping.frames`, and how a lost
 robot changes frames in
 :mod:`limslam_agent.mapping.recovery`.
 """
@@ -269,7 +269,7 @@ class Mapper:
         """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame
         has another SLAM.
         """
-        return self._frames.present.slam
+        return self._frames.slam
 
     @property
     def drive(self) -> Drive:
@@ -340,7 +340,7 @@ class Mapper:
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        found = [monitor.status for monitor in self._frames.present.monitors]
+        found = [monitor.status for monitor in self._frames.monitors]
         found = found if self._recovery is None else [self._recovery.status(found[0])]
         is_open = self._lookup is not None and self._lookup.is_open
         return [NOT_YET_FOUND] if is_open and found[0].level == "ok" else found
@@ -352,7 +352,7 @@ class Mapper:
         if recovery is None:
             return PlaceHistory()
         events = (() if self._lookup is None else self._lookup.events) + recovery.events
-        is_suspicious = self._frames.present.monitors[0].mistaken >= LIMIT
+        is_suspicious = self._frames.monitors[0].mistaken >= LIMIT
         return PlaceHistory(events, self._unplaced, is_suspicious)
 
     @property
@@ -361,7 +361,7 @@ class Mapper:
         is lost.
         """
         covariances = self.slam.covariances
-        for number, monitor in enumerate(self._frames.present.monitors):
+        for number, monitor in enumerate(self._frames.monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
         return (
@@ -371,7 +371,7 @@ class Mapper:
     @property
     def grid(self) -> GridView:
         """The occupancy grid that all robots share. Later steps do not change it."""
-        view = self._frames.present.grid.view
+        view = self._frames.grid.view
         values = view.values.copy()
         values.setflags(write=False)
         return GridView(view.low, view.cell, values)
@@ -452,9 +452,9 @@ class Mapper:
         """Forget the steps of the drives that nobody asks for any more."""
         if self.keeps_drives or (self._lookup is not None and self._lookup.is_open):
             return
-        present = self._frames.present
-        for drive, monitor in zip(self._frames.drives, present.monitors, strict=True):
-            first = min(monitor.first, present.renewal.first)
+        frames = self._frames
+        for drive, monitor in zip(self._frames.drives, frames.monitors, strict=True):
+            first = min(monitor.first, frames.renewal.first)
             if self._recovery is not None and "wheels" in drive.scans[-1].observation:
                 first = min(first, self._recovery.begin)
             drive.forget_before(first)

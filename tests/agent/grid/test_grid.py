@@ -152,13 +152,13 @@ def by_neighbours(cost: FloatArray, prices: FloatArray) -> FloatArray:
     rows, columns = cost.shape
     costs, around = (np.pad(each, 1, constant_values=np.inf) for each in (cost, prices))
     found = np.full(cost.shape, np.inf)
-    for down, right in product((-1, 0, 1), repeat=2):
+    for down, right in set(product((-1, 0, 1), repeat=2)) - {(0, 0)}:
         row = slice(1 + down, rows + 1 + down)
         column = slice(1 + right, columns + 1 + right)
         # A diagonal step needs both cells beside it; for a straight one these are its own ends.
         is_open = np.isfinite(around[row, 1:-1] + around[1:-1, column])
         reached = costs[row, column] + 0.5 * np.hypot(down, right) * (prices + around[row, column])
-        found = np.where(is_open & bool(down or right), np.minimum(found, reached), found)
+        found = np.where(is_open, np.minimum(found, reached), found)
     return found
 
 
