@@ -171,6 +171,7 @@ class Mapper:
         self._starts = starts
         self._restarts = 0
         self._is_finished = False
+        self.slam_ms = 0.0
         self._begin(LineSlam(self.robot, self.config, starts))
 
     def _begin(self, slam: Estimator) -> None:
@@ -186,7 +187,6 @@ class Mapper:
         self._waiting = WaitingTravel(len(self._starts), self.robot)
         self.prior_frame: FloatArray | None = None
         self._set_odometry(self._starts.copy())
-        self.slam_ms = 0.0
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot.
@@ -213,8 +213,9 @@ class Mapper:
         waiting: list[Sequence[Observation]] = [copied(observations)]
         while waiting:
             first_steps = self._first_steps
+            frames = self._frames
             self._process(waiting.pop(0))
-            spent += self.slam_ms
+            spent += frames.slam_ms
             if self._first_steps is not first_steps:
                 waiting[:0] = first_steps
         self.slam_ms = spent
@@ -232,7 +233,6 @@ class Mapper:
             self._lookup.drive(slam.increments[0])
         if self._is_to_restart(reported):
             self._restarts += 1
-            self.slam_ms = self._frames.slam_ms
             self._begin(self._frames.slam_at(self._starts))
             return
         if self._recovery is not None and "wheels" in observations[0]:
@@ -242,7 +242,6 @@ class Mapper:
         if self._lookup is not None and self._lookup.is_due:
             self._look_up(self._lookup)
         self._forget()
-        self.slam_ms = self._frames.slam_ms
 
     def finish(self) -> None:
         """Use the readings that are still buffered. Call this after the last step; a second call
@@ -312,7 +311,7 @@ class Mapper:
                 front.ranges,
                 segments,
                 grid,
-                np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0],
+                np.delete(poses, number, axis=0),
                 status=statuses[number],
                 frame=self.frame,
                 map_number=self.map_number,

@@ -266,8 +266,8 @@ class Recovery:
         self.state = lost = replace(lost, first=max(first, self.begin + 1))
         lost.search.begin_anew()
         self._copies = Checkpoints()
-        record = {"event": "lost", "step": lost.first, "reason": loss.status.reason}
-        self.events += (Event(record, refutes=is_wrong),)
+        details = {"step": lost.first, "reason": loss.status.reason}
+        self._tell("lost", details, refutes=is_wrong)
         return lost
 
     def _lost_from(self, first: int, loss: Loss, jump: float) -> Lost:
@@ -299,7 +299,7 @@ class Recovery:
         lost = self.state
         if isinstance(lost, Lost):
             self._offset = self.added_covariance
-            self._tell("given up", step=lost.first)
+            self._tell("given up", {"step": lost.first})
             self.state = Placed(
                 GIVEN_UP, lost.search, None, lost.first, driven=lost.driven, at=lost.driven
             )
@@ -424,7 +424,7 @@ class Recovery:
         frames.begin_anew()
         frames.process_again(scans[1:])
         if is_anew:
-            self._tell("begun anew", self._revision(lost.first), step=lost.first)
+            self._tell("begun anew", {"step": lost.first}, revision=self._revision(lost.first))
             self.state = Placed(BEGUN_ANEW, PlaceSearch(lost.search.place), None, lost.first)
 
     def _go_on_renewed(self, lost: Lost) -> bool:
@@ -436,7 +436,7 @@ class Recovery:
         if not frames.renew_lost():
             return False
         self.move()
-        self._tell("renewed", self._revision(first))
+        self._tell("renewed", revision=self._revision(first))
         self._return(lost, KnownPlaces.of(frames.slam, frames.grid.view), has_drifted=True)
         return True
 
@@ -460,15 +460,14 @@ class Recovery:
         # again, a bent map may contradict a few of them, and the robot would be lost and found in
         # turns.
         frames.reset_monitors()
-        changed: dict[str, Any] = {}
+        known: dict[str, Any] = {"revision": self._revision(self.begin)}
         if closed is None and found.has_drifted:
             past = PlaceHistory(self.events)
-            known = max([0, *past.breaks, *(last for _, last in past.slips)])
-            changed = {"slipped": (known, found.step)}
+            first = max([0, *past.breaks, *(last for _, last in past.slips)])
+            known["slipped"] = (first, found.step)
         elif closed is None:
-            changed = {"carried_at": found.step}
-        details = {"step": self._drive.end - 1, "carried_at": found.step}
-        self._tell("found", self._revision(self.begin), changed, **details)
+            known["carried_at"] = found.step
+        self._tell("found", {"carried_at": found.step}, **known)
         self._return(lost, closed, rays=rays, has_drifted=found.has_drifted)
 
     def _return(self, lost: Lost, place: KnownPlaces | None, **placed: Any) -> None:
@@ -500,15 +499,9 @@ class Recovery:
         poses = np.array([scan.pose for scan in scans])
         return Revision(first, poses, np.array([scan.covariance for scan in scans]))
 
-    def _tell(
-        self,
-        event: str,
-        revision: Revision | None = None,
-        changed: dict[str, Any] | None = None,
-        **details: Any,
-    ) -> None:
-        """Add an event, with how the latest search stands."""
-        record: dict[str, Any] = {"event": event, "step": self._drive.end - 1, **details}
+    def _tell(self, event: str, details: dict[str, Any] | None = None, **known: Any) -> None:
+        """Add an event, with how the latest search stands, and what is ``known`` by it."""
+        record = {"event": event, "step": self._drive.end - 1, **(details or {})}
         if not isinstance(self.state, Here):
             record |= self.state.search.record
-        self.events += (Event(record, revision, **(changed or {})),)
+        self.events += (Event(record, **known),)
