@@ -35,6 +35,7 @@ ENV = {
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
+    "limslam_env.canvas": {GEOMETRY},
     "limslam_env.toml_text": set(),
     "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
@@ -62,7 +63,7 @@ ENV = {
             "simulation",
         ),
     },
-    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
+    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("canvas", "worlds", "simulation")},
     "limslam_env.envs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env(
@@ -86,7 +87,7 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
-    "limslam_agent.terminal": env("messages"),
+    "limslam_agent.terminal": {"limslam_env.messages", *agent("config")},
     "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
@@ -158,6 +159,7 @@ AGENT = {
     "limslam_agent.measurements": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
     "limslam_agent.output": {
         *WHAT_AN_AGENT_MAY_KNOW,
+        *env("canvas"),
         *agent("slam.core", "grid", "map_file", "safe_files"),
     },
     "limslam_agent.output.formats": {
@@ -202,7 +204,11 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
-    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "slam.core")},
+    "limslam_agent.video": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("canvas"),
+        *agent("grid", "output", "slam.core"),
+    },
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
