@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from limslam_agent.cli.terminal import run_command
 from limslam_agent.endings import end_cleanly
+from limslam_agent.terminal import run_command
 
 if TYPE_CHECKING:
     from benchmarks.suite.runner import Summary

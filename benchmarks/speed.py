@@ -148,7 +148,7 @@ def times_faster(
     found = []
     for seed in range(runs + 1):
         begin = clock()
-        episode = run_episode(RunConfig(world, 0.02, seed=seed, max_time=max_time, until="walls"))
+        episode = run_episode(RunConfig(world, seed=seed, max_time=max_time))
         found.append(float(episode.time[-1]) / (clock() - begin))
     return float(np.median(found[1:]))
 

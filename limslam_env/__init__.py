@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         LimSlamVectorEnv,
         parallel_vector_env,
     )
-    from limslam_env.rendering.painter import Overlay
+    from limslam_env.rendering.overlay import Overlay
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
     from limslam_env.worlds.world import World
@@ -64,7 +64,7 @@ _LAZY_MODULES = {
     "LimSlamParallelEnv": "envs.parallel_env",
     "LimSlamParallelVectorEnv": "envs.vector_env",
     "LimSlamVectorEnv": "envs.vector_env",
-    "Overlay": "rendering.painter",
+    "Overlay": "rendering.overlay",
     "World": "worlds.world",
     "aec_env": "envs.parallel_env",
     "load_world": "worlds.formats.loading",
@@ -96,7 +96,7 @@ def _register() -> None:
         gym.register(
             f"LimSlam-{name}-v0",
             entry_point="limslam_env.envs.env:LimSlamEnv",
-            vector_entry_point="limslam_env.envs.vector_env:vector_env",
+            vector_entry_point="limslam_env.envs.devices:vector_env",
             max_episode_steps=MAX_EPISODE_STEPS,
             kwargs=arguments,
         )

@@ -86,6 +86,8 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
+    "limslam_agent.terminal": env("messages"),
+    "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
@@ -99,26 +101,23 @@ AGENT = {
         *env("compilation"),
         *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
-    "limslam_agent.slam.least_squares": {GEOMETRY, *env("compilation")},
+    "limslam_agent.slam.graph": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("compilation"),
-        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
+        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.graph"),
     },
-    "limslam_agent.slam.graph": {
+    "limslam_agent.slam.map_graph": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("compilation"),
-        *agent("config", "kernels", "slam.least_squares"),
-    },
-    "limslam_agent.slam.online_graph": {
-        *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.graph", "slam.least_squares"),
+        *agent("config", "kernels", "slam.graph"),
     },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
+    "limslam_agent.record": WHAT_AN_AGENT_MAY_KNOW,
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("dropouts", "config", "grid", "kernels", "slam.core"),
+        *agent("dropouts", "config", "grid", "kernels", "record", "slam.core"),
     },
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
@@ -131,6 +130,7 @@ AGENT = {
             "grid",
             "kernels",
             "status",
+            "record",
             "map_file",
             "safe_files",
         ),
@@ -146,7 +146,7 @@ AGENT = {
     },
     "limslam_agent.mapping": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "grid", "places", "policies", "status"),
+        *agent("belief", "config", "grid", "places", "policies", "record", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
@@ -169,30 +169,30 @@ AGENT = {
         *agent(
             "config",
             "slam.core",
-            "slam.graph",
             "slam.line_graph",
+            "slam.map_graph",
             "grid",
             "logs",
             "mapping",
             "output",
             "places",
         ),
-        *agent("slam.online_graph", "status"),
+        *agent("status"),
     },
     "limslam_agent.two_logs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
             "config",
             "slam.core",
-            "slam.graph",
             "slam.line_graph",
+            "slam.map_graph",
             "grid",
             "kernels",
             "logs",
             "output",
             "places",
         ),
-        *agent("replay", "status"),
+        *agent("record", "replay", "status"),
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -252,8 +252,8 @@ COMPILED = {
     "limslam_agent.kernels",
     "limslam_agent.slam.batch",
     "limslam_agent.slam.graph",
-    "limslam_agent.slam.least_squares",
     "limslam_agent.slam.line_graph",
+    "limslam_agent.slam.map_graph",
 }
 SEEDED = {
     "default_rng",
@@ -309,14 +309,20 @@ def imports(path: Path) -> frozenset[str]:
     return frozenset(found)
 
 
-def place_of(name: str) -> str:
-    """The package that a module or a name in it belongs to; of modules beside the packages, the
-    module itself.
-    """
+def module_of(name: str) -> str:
+    """The module that a name belongs to."""
     asked = name
     while name not in MODULES:
         name, dot, _ = name.rpartition(".")
         assert dot, f"{asked} is neither a module of the project nor a name in one"
+    return name
+
+
+def place_of(name: str) -> str:
+    """The package that a module or a name in it belongs to; of modules beside the packages, the
+    module itself.
+    """
+    name = module_of(name)
     if name in PACKAGES or name.count(".") == 1:
         return name
     return name.rpartition(".")[0]
@@ -362,6 +368,30 @@ def test_no_package_is_in_an_import_circle():
         leaves = {place for place, others in graph.items() if not others & set(graph)}
         assert leaves, f"these import each other: {sorted(graph)}"
         graph = {place: others for place, others in graph.items() if place not in leaves}
+
+
+# The listener of an association takes the estimator that makes it.
+IN_A_CIRCLE = {"association", "consistent", "merging", "reports"}
+
+
+def modules_imported(name: str) -> set[str]:
+    """The files of the project that a file imports. The two packages load on demand what users ask
+    for.
+    """
+    if name in {"limslam_env", "limslam_agent"}:
+        return set()
+    own = {full for full in imports(MODULES[name]) if full.split(".")[0] in TOPS}
+    return {module_of(full) for full in own} - {name}
+
+
+def test_no_file_is_in_an_import_circle():
+    graph = {name: modules_imported(name) for name in MODULES}
+    while leaves := {name for name, others in graph.items() if not others & set(graph)}:
+        graph = {name: others for name, others in graph.items() if name not in leaves}
+    while unused := set(graph) - set().union(*graph.values()):
+        graph = {name: others for name, others in graph.items() if name not in unused}
+    known = {f"limslam_agent.slam.consistent.{name}" for name in IN_A_CIRCLE}
+    assert set(graph) - known == set()
 
 
 @pytest.mark.parametrize(
@@ -452,7 +482,6 @@ def test_importing_the_agent_loads_no_simulator():
         "limslam_agent.slam.consistent.merging",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.two_logs"],
-        *PLACES["limslam_agent.slam.online_graph"],
     ]
     replay = ("smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]

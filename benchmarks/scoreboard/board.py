@@ -119,7 +119,7 @@ def run_scoreboard(
     first = rows.unused_seed if unused else rows.tuning_seed
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
     known = digest([[asdict(row) for row in rows.row], first, jitter, digest_of(estimator_files())])
-    suite = Suite("scoreboard", "Cells of the scoreboard.", tuple(jobs), known)
+    suite = Suite("scoreboard", tuple(jobs), known)
     summary = run_suite(
         suite, folder, processes, work=partial(measure, by_name, jitter), retry_failed=retry_failed
     )

@@ -50,41 +50,14 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     if fault is not None and fault.kind == "turned beam":
         turns[fault.beam] = math.radians(fault.size)
     true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
-    noise = (
-        row.true_noise
-        if row.true_noise.sensor_noise
-        else replace(row.true_noise, sensor_noise=row.noise)
-    )
-    env = LimSlamParallelEnv(
-        world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None
-    )
-    observed, infos = env.reset(seed=seed)
-    (name,) = observed
-    drive = (
-        _bumps(robot, generator)
-        if row.bumps
-        else _from_place_to_place(env, infos[name]["pose"], generator)
-    )
-    rows = [(observed[name], infos[name])]
-    driving, standing = (round(each / robot.control_period) for each in (row.seconds, row.stands))
-    for step in range(driving + standing):
-        is_standing = driving // 2 <= step < driving // 2 + standing
-        action = (
-            np.zeros(2) if is_standing else drive(infos[name]["pose"], infos[name]["collision"])
-        )
-        observed, _, _, _, infos = env.step({name: action})
-        rows.append((observed[name], infos[name]))
-    ranges, wheels = (
-        np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels")
-    )
-    true = np.array([info["pose"] for _, info in rows])
+    ranges, wheels, true = _driven(row, world, true_robot, seed, generator)
     ranges = shaken(ranges, robot, jitter, seed)
-    time = robot.control_period * np.arange(float(len(rows)))
+    time = robot.control_period * np.arange(float(len(true)))
     if fault is not None:
         if fault.kind == "delayed":
-            fault.begin = time[round(_BEAM_BEGINS * len(rows))]
+            fault.begin = time[round(_BEAM_BEGINS * len(true))]
         if fault.kind == "slips":
-            fault.script = drawn_slips(len(rows), generator, fault.size)
+            fault.script = drawn_slips(len(true), generator, fault.size)
         if fault.kind == "person":
             centres = walk(world, robot, fault.size, true, generator)
             to_person = ranges_to(centres, fault.size, true_robot, true)
@@ -104,6 +77,34 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
         true_pose=true,
         gaps=tuple(gaps.tolist()),
     )
+
+
+def _driven(
+    row: Row, world: World, robot: RobotSpec, seed: int, generator: np.random.Generator
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Ranges (t, n_beams) and wheel travel (t, 2), m, and true poses (t, 3) of a row's drive."""
+    noise = row.true_noise
+    if not noise.sensor_noise:
+        noise = replace(noise, sensor_noise=row.noise)
+    env = LimSlamParallelEnv(
+        world, robot=robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None
+    )
+    observed, infos = env.reset(seed=seed)
+    (name,) = observed
+    start = infos[name]["pose"]
+    drive = _bumps(robot, generator) if row.bumps else _from_place_to_place(env, start, generator)
+    rows = [(observed[name], infos[name])]
+    driving, standing = (round(each / robot.control_period) for each in (row.seconds, row.stands))
+    for step in range(driving + standing):
+        is_standing = driving // 2 <= step < driving // 2 + standing
+        _, info = rows[-1]
+        action = np.zeros(2) if is_standing else drive(info["pose"], info["collision"])
+        observed, _, _, _, infos = env.step({name: action})
+        rows.append((observed[name], infos[name]))
+    ranges, wheels = (
+        np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels")
+    )
+    return ranges, wheels, np.array([info["pose"] for _, info in rows])
 
 
 def shaken(ranges: FloatArray, robot: RobotSpec, jitter: float, seed: int) -> FloatArray:

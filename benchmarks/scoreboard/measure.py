@@ -173,11 +173,8 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     }
     if kidnap_at is None:
         paths = path_scores(true, estimated, episode.covariances[:, placed], "")
-        paths |= (
-            {}
-            if smoothed is None
-            else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
-        )
+        if smoothed is not None:
+            paths |= path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
         paths |= path_scores(true, episode.odometry[:, placed], None, "_odometry")
         paths |= {"placed": int(episode.placed_robots == row.robots)} if row.unknown_starts else {}
     else:

@@ -109,10 +109,10 @@ class Row:
             Job(
                 world.replace(":seed", f":{seed}") or self.file or self.kind,
                 self.noise,
-                self.robots,
                 self.preset,
-                self.name,
-                seed=seed,
+                seed,
+                policy=self.name,
+                robots=self.robots,
             )
             for seed in range(first_seed, first_seed + self.seeds)
             for world in self.worlds

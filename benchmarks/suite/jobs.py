@@ -5,6 +5,7 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any, TypeAlias
 
+from limslam_agent.runs.run_spec import RunSpec
 from limslam_env.messages import counted
 
 LAPS_POLICY = "laps"
@@ -14,30 +15,22 @@ PLAN = "plan:"
 OWN_PLAN = f"{RANDOM}seed"
 """The floor plan of the job's own seed."""
 
+# No suite sets these, so that they are not part of a job's digest.
+_UNUSED = {"kidnap_at", "unknown_starts", "imu", "map"}
+
 Metric: TypeAlias = float | int | str | None
 
 
 @dataclass(frozen=True)
-class Job:
+class Job(RunSpec):
     """One run of a suite. The seed is a field of the job, so that engine and order do not change
     the result.
+
+    A world can also be ``plan:NAME``, a wall list in the data folder, or ``random:seed``, the floor
+    plan of the job's seed.
     """
 
-    # Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or
-    # ``plan:NAME`` (a wall list in the data folder). ``random:seed`` becomes the floor plan of the
-    # job's seed.
-    world: str
-    noise: float  # standard deviation of the ranges, m
-    # robots, preset, policy, ablation, laps, seed, max_time, limit, until: as in
-    # ``limslam_agent.runs.run_config.RunConfig``
-    robots: int = 1
     preset: str = "paper"
-    policy: str = "frontier"
-    ablation: str | None = None
-    laps: int = 0
-    seed: int = 0
-    max_time: float = 1800.0
-    limit: bool = False
     until: str = "seen"
     # A fault of :mod:`benchmarks.suite.faults` that begins in the middle of the run; None for a
     # healthy robot
@@ -48,12 +41,13 @@ class Job:
     after_fault: float = 40.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "world", self.world.replace(OWN_PLAN, f"{RANDOM}{self.seed}"))
 
     @property
     def key(self) -> str:
         """Digest of all fields of the job: 16 hexadecimal digits."""
-        return digest(asdict(self))
+        return digest({name: each for name, each in asdict(self).items() if name not in _UNUSED})
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -69,18 +63,15 @@ class Job:
         """A description of the job in one line, for display."""
         parts = [
             self.world,
+            f"{self.robots} robots" if self.robots > 1 else "",
             f"{100 * self.noise:g} cm",
             self.preset,
+            self.ablation,
             str(self.identity["policy"]),
             f"seed {self.seed}",
+            counted(self.laps, "lap") if self.laps else "",
         ]
-        if self.ablation:
-            parts.insert(3, self.ablation)
-        if self.robots > 1:
-            parts.insert(1, f"{self.robots} robots")
-        if self.laps:
-            parts.append(counted(self.laps, "lap"))
-        return ", ".join(parts)
+        return ", ".join(part for part in parts if part)
 
 
 @dataclass(frozen=True)
@@ -90,7 +81,6 @@ class Suite:
     """
 
     name: str
-    description: str
     jobs: tuple[Job, ...]
     digest: str
 

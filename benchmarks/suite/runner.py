@@ -15,7 +15,6 @@ from unittest.mock import patch
 from benchmarks.suite.faults import Fault, fault_begins, fault_scores
 from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, Outcome, Suite, digest
 from benchmarks.suite.store import FORMAT, Row, Stamp, row_of
-from limslam_agent.cli.terminal import progress_bar
 from limslam_agent.measurements.processes import Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
@@ -24,6 +23,7 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.terminal import progress_bar
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 
 Work: TypeAlias = Callable[[Job], Outcome]
@@ -96,20 +96,12 @@ def contents(jobs: Iterable[Job]) -> dict[str, str]:
 def run_config(job: Job) -> RunConfig:
     """The run configuration of a job."""
     begin = fault_begins(job)
-    return RunConfig(
-        world_source(job.world),
-        job.noise,
-        job.preset,
-        job.seed,
-        job.max_time if begin is None else begin + job.after_fault,
-        job.laps,
-        robots=job.robots,
-        ablation=job.ablation,
-        policy=job.policy,
-        limit=job.limit,
-        until=job.until,
-        kidnap_at=begin if job.fault == KIDNAPPED else None,
-    )
+    changed = {
+        "world": world_source(job.world),
+        "max_time": job.max_time if begin is None else begin + job.after_fault,
+        "kidnap_at": begin if job.fault == KIDNAPPED else None,
+    }
+    return RunConfig(**job.spec | changed)
 
 
 def run_job(job: Job) -> Outcome:

@@ -5,11 +5,11 @@ ignored.
 import itertools
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from benchmarks.suite.jobs import RANDOM, Job, Suite, digest
 from benchmarks.suite.runner import contents, run_config
@@ -63,45 +63,22 @@ class _Grid:
             seeds if isinstance(seeds, tuple) else range(seeds.first, seeds.first + seeds.count)
         )
         moved = 0 if first_seed is None else first_seed - min(chosen, default=0)
-        axes = (
-            list(_first_jobs(each for world in self.worlds for each in _worlds(world))),
-            self.noises,
-            self.robots,
-            self.presets,
-            self.policies,
-            [None if each == NO_ABLATION else each for each in self.ablations],
-            self.laps,
-            self.faults,
-            [seed + moved for seed in chosen],
-        )
+        axes: dict[str, Sequence[Any]] = {
+            "world": list(_first_jobs(each for world in self.worlds for each in _worlds(world))),
+            "noise": self.noises,
+            "robots": self.robots,
+            "preset": self.presets,
+            "policy": self.policies,
+            "ablation": [None if each == NO_ABLATION else each for each in self.ablations],
+            "laps": self.laps,
+            "fault": self.faults,
+            "seed": [seed + moved for seed in chosen],
+        }
+        fixed = ("fault_time", "after_fault", "max_time", "until", "limit")
+        same: dict[str, Any] = {name: getattr(self, name) for name in fixed}
         return [
-            Job(
-                world,
-                noise,
-                robots,
-                preset,
-                policy,
-                ablation,
-                laps,
-                seed,
-                self.max_time,
-                self.limit,
-                self.until,
-                fault,
-                self.fault_time,
-                self.after_fault,
-            )
-            for (
-                world,
-                noise,
-                robots,
-                preset,
-                policy,
-                ablation,
-                laps,
-                fault,
-                seed,
-            ) in _first_jobs(itertools.product(*axes))
+            Job(**dict(zip(axes, each, strict=True)), **same)
+            for each in _first_jobs(itertools.product(*axes.values()))
         ]
 
 
@@ -151,7 +128,7 @@ def load_suite(source: str, first_seed: int | None = None) -> Suite:
             if count > 1:
                 raise ValueError(f"{count} jobs are the same to the tables: {title}")
         known = digest([sorted(job.key for job in jobs), contents(jobs)])
-        return Suite(file.name, file.description, tuple(jobs), known)
+        return Suite(file.name, tuple(jobs), known)
 
 
 def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:
@@ -162,8 +139,6 @@ def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:
         with _named(f"[[grid]] {number}"):
             jobs = grid.jobs(first_seed)
             _check_count(jobs)
-            if jobs and min(job.seed for job in jobs) < 0:
-                raise ValueError(f"seeds: a seed is 0 or more, not {min(job.seed for job in jobs)}")
             for job in {_without_seed(job): job for job in reversed(jobs)}.values():
                 with _named(job.title):
                     run_config(job)

@@ -196,6 +196,7 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
         entry.manifest.preset,
         plan.seed,
         plan.max_time,
+        until="seen",
         robots=plan.robots,
         policy=entry.run if is_named else "frontier",
         true_noise=plan.true_noise,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.terminal import print_table, progress_bar, say, warn
+from limslam_agent.terminal import print_table, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board
@@ -192,7 +192,6 @@ def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
 
     A command has no name that ``limslam run`` knows, so its folders have no ``run.toml``.
     """
-    from limslam_agent.cli.options import RunOptions
     from limslam_agent.cli.settings import write_run_settings
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.results import write_episode
@@ -201,17 +200,7 @@ def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
     with new_folder(folder, force=True) as new:
         metrics: dict[str, Any] = write_episode(new.beside, episode)["metrics"]
         if not config.driver:
-            options = RunOptions(
-                str(config.world),
-                config.noise,
-                config.preset,
-                config.seed,
-                config.max_time,
-                config.policy,
-                until="seen",
-                robots=config.robots,
-            )
-            write_run_settings(new.beside, options, config)
+            write_run_settings(new.beside, config, str(config.world))
     return metrics
 
 

@@ -8,7 +8,7 @@ import typer
 from limslam_agent.cli.options import ReplayOptions
 from limslam_agent.cli.replay import job_of
 from limslam_agent.cli.settings import FILE, Given, replay_agent, run_config, run_options
-from limslam_agent.cli.terminal import progress_bar, say
+from limslam_agent.terminal import progress_bar, say
 
 if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun
@@ -71,7 +71,7 @@ def _of_replay(given: Given, run: "FinishedRun | None") -> "Inspection":
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.runs.inspection import inspect_log
 
-    options = given.merged(ReplayOptions(), ("agent", "robot"))
+    options = given.merged(ReplayOptions())
     if options.log is None:
         raise ValueError(f"{given.path}: names no log")
     if options.other_log is not None:

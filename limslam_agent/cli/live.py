@@ -9,8 +9,8 @@ import typer
 
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import LiveOptions, takes
-from limslam_agent.cli.settings import Given, exploring_agent, robot_named, write_live_settings
-from limslam_agent.cli.terminal import progress_bar, say, warn
+from limslam_agent.cli.settings import Given, exploring_agent, write_live_settings
+from limslam_agent.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -34,7 +34,7 @@ def live(
     from limslam_agent.runs.policies import check_belief_policy
 
     given = Given.read(config, {**told, "robot": robot})
-    options = given.merged(LiveOptions(), ("agent", "robot"))
+    options = given.merged(LiveOptions())
     ways = {
         "--serial": options.serial is not None,
         "--udp": options.udp is not None,
@@ -138,6 +138,7 @@ def _udp_transport(options: LiveOptions) -> "Transport":
 
 def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
     """The robot of ``--robot``, else the shipped robot that it says it is."""
+    from limslam_agent.robot_file import robot_named
     from limslam_env.robots import ROBOTS
 
     if described is None and hello.name not in ROBOTS:

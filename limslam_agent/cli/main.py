@@ -16,10 +16,10 @@ from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.score import score
 from limslam_agent.cli.show import compare, export, show
-from limslam_agent.cli.terminal import run_command
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
 from limslam_agent.endings import end_cleanly
+from limslam_agent.terminal import run_command
 
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads of linear algebra. Each is read once, when numpy or scipy is loaded."""

@@ -1,7 +1,7 @@
 """The options of ``limslam run``, ``replay`` and ``live``: each is a field of a dataclass, which
 says all about it.
 
-A field with `told` is an option of the command line and a setting of the file of ``--config``. A
+A field with `Help` is an option of the command line and a setting of the file of ``--config``. A
 field without it is a setting of the file alone, or follows from an argument. An option that is not
 given is None, so that the file can set it. Help shows the default of the field.
 """
@@ -9,21 +9,29 @@ given is None, so that the file can set it. Help shows the default of the field.
 import functools
 import inspect
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_type_hints
 
 import typer
-from typer.models import OptionInfo
 
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
+from limslam_agent.config.bounds import Bounded, Bounds
+from limslam_agent.config.help import Help
+from limslam_agent.runs.run_spec import (
+    AGENT,
+    FAULTS,
+    POLICIES,
+    RESULTS,
+    WORLD,
+    Map,
+    Preset,
+    RunSpec,
+    Std,
+    Time,
+    Until,
+)
 
-_WORLD = "World and robots"
-_AGENT = "Agent"
-_RESULTS = "Settings and results"
-_FAULTS = "Errors that the simulated robot has"
 _LOG = "Log"
 _TABLE = "Tables (.csv)"
 _ODOMETRY = "Odometry"
@@ -31,95 +39,53 @@ _SCORE = "Score"
 _CONNECTION = "Connection and robot"
 
 _ROBOTS = "paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings."
-_POLICIES = (
-    "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
-    "or FILE.py:CLASS for your own (a class or a function that makes a policy)."
-)
-
-
-def told(panel: str, words: str, shown: str | bool = True, *names: str) -> Any:
-    """What the command line says about an option: its panel in the help, and the help.
-
-    ``shown`` is the default in words, where it is not that of the field; False shows none.
-    ``names`` are those of an option that does not have the name of the field.
-    """
-    return typer.Option(*names, help=words, rich_help_panel=panel, show_default=shown)
-
-
-_Time = Annotated[float, Bounds(1e-3, 1e6)]
-_Std = Annotated[float, Bounds(0.0, 1e3)]
-_AssumedStd = Annotated[_Std, told(_AGENT, "Assumed standard deviation of the ranges, m.")]
-_Preset = Annotated[
-    str,
-    told(
-        _AGENT,
-        "Settings of the agent: consistent, paper (the published method), odometry (no "
-        "corrections), "
-        "or graph (consistent, and a recorded log is smoothed at its end).",
-    ),
-]
-_Until = Annotated[
-    str,
-    told(
-        _AGENT,
-        "When the policies frontier and frontier_fast are done: seen (no frontier is left) or "
-        "walls (the robot has "
-        "also looked at every place where free ground ends and the map has no wall).",
-    ),
-]
-_Map = Annotated[
-    Path | None,
-    told(
-        _AGENT,
-        "Folder of an earlier run or replay: begin in its map, at a place that is not known.",
-    ),
-]
+_AssumedStd = Annotated[Std, Help(AGENT, "Assumed standard deviation of the ranges, m.")]
 _Watch = Annotated[
     bool,
-    told(
-        _RESULTS,
+    Help(
+        RESULTS,
         "Show what the robot believes in a browser while it drives, as limslam inspect does "
         "afterwards.",
     ),
 ]
-_Out = Annotated[Path | None, told(_RESULTS, "Folder for the results.", "runs/...")]
-_Force = Annotated[bool, told(_RESULTS, "Replace the results of an earlier run in that folder.")]
+_Out = Annotated[Path | None, Help(RESULTS, "Folder for the results.", "runs/...")]
+_Force = Annotated[bool, Help(RESULTS, "Replace the results of an earlier run in that folder.")]
 
 Config = Annotated[
     Path | None,
-    told(
-        _RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file."
+    Help(
+        RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file."
     ),
 ]
 """Given beside the fields of the dataclasses, as all options below: they name a file, or a table of
 it.
 """
-Robot = Annotated[str | None, told(_WORLD, f"Robot: {_ROBOTS}", "paper")]
-RecordingRobot = Annotated[str | None, told(_TABLE, f"Robot that recorded a table: {_ROBOTS}")]
+Robot = Annotated[str | None, Help(WORLD, f"Robot: {_ROBOTS}", "paper")]
+RecordingRobot = Annotated[str | None, Help(_TABLE, f"Robot that recorded a table: {_ROBOTS}")]
 LiveRobot = Annotated[
     str | None,
-    told(_CONNECTION, f"Robot: {_ROBOTS} --ros2 needs it.", "what the robot calls itself"),
+    Help(_CONNECTION, f"Robot: {_ROBOTS} --ros2 needs it.", "what the robot calls itself"),
 ]
 TrueOdometryNoise = Annotated[
     float | None,
-    told(
-        _FAULTS,
+    Help(
+        FAULTS,
         "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.",
         "0.0045",
     ),
 ]
 WheelMismatch = Annotated[
     float | None,
-    told(
-        _FAULTS,
+    Help(
+        FAULTS,
         "Share by which the left encoder reports too much, and the right one too little.",
         "0",
     ),
 ]
 Sharp = Annotated[
     bool,
-    told(
-        _FAULTS,
+    Help(
+        FAULTS,
         "Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, "
         "fold-back and a cone.",
         True,
@@ -128,16 +94,16 @@ Sharp = Annotated[
 ]
 MetresPerPixel = Annotated[
     float | None,
-    told(_WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
+    Help(WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
 ]
 MetresPerUnit = Annotated[
     float | None,
-    told(_WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
+    Help(WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
 ]
 Layers = Annotated[
     str | None,
-    told(
-        _WORLD,
+    Help(
+        WORLD,
         "Layers of a plan in SVG or DXF that are walls: A,B,...",
         "those called walls or windows, or all",
     ),
@@ -154,7 +120,7 @@ Log = Annotated[
 ]
 RelationsFile = Annotated[
     list[Path] | None,
-    told(
+    Help(
         _SCORE,
         "File of known relative poses to score the trajectory with. Of two logs: once for both, "
         "or once for each.",
@@ -170,84 +136,19 @@ RosArguments = Annotated[
 
 
 @dataclass(frozen=True)
-class RunOptions(Bounded):
-    """The options of ``limslam run``."""
+class RunOptions(RunSpec):
+    """The options of ``limslam run``: what is run, how a plan is read, and where results go."""
 
-    world: Annotated[
-        str,
-        told(
-            _WORLD,
-            "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor "
-            "plan, or a world file, which may be a plan (.png, .jpg, .svg, .dxf).",
-        ),
-    ] = "env1"
-    noise: Annotated[
-        _Std, told(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.")
-    ] = 0.02
-    preset: _Preset = DEFAULT_PRESET
-    seed: Annotated[CountOrNone, told(_WORLD, "Random seed.")] = 0
-    max_time: Annotated[
-        _Time,
-        told(
-            _WORLD,
-            "Longest simulated time, s. Without it, a world has 10 s for each square metre, and "
-            "at least the default.",
-        ),
-    ] = 1800.0
-    policy: Annotated[
-        str, told(_AGENT, f"{_POLICIES} tour drives around the world's loop by the true pose.")
-    ] = "frontier"
-    until: _Until = "walls"
-    laps: Annotated[
-        CountOrNone, told(_AGENT, "Drive this many laps of the world's loop instead of exploring.")
-    ] = 0
-    robots: Annotated[
-        int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")
-    ] = 1
     metres_per_pixel: MetresPerPixel = None
     metres_per_unit: MetresPerUnit = None
     layers: Layers = None
-    ablation: Annotated[
-        str | None,
-        told(
-            _AGENT,
-            "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, "
-            "only-best-line or none. "
-            "All go with the preset paper, and no-loop-closing with every preset.",
-            "none",
-        ),
-    ] = None
-    kidnap_at: Annotated[
-        float | None,
-        told(
-            _FAULTS,
-            "Time at which the robot is carried to another place, s. The seed chooses the place.",
-        ),
-    ] = None
-    unknown_starts: Annotated[
-        bool,
-        told(
-            _AGENT,
-            "Whether the second of two robots starts at a place that the agent does not know.",
-            "no",
-        ),
-    ] = False
-    imu: Annotated[
-        bool,
-        told(
-            _WORLD,
-            "Whether the robot measures its heading by an inertial measurement unit, too.",
-            "no",
-        ),
-    ] = False
-    map: _Map = None
-    limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
     video: Annotated[
-        Path | None, told(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")
+        Path | None, Help(RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")
     ] = None
     watch: _Watch = False
     out: _Out = None
     force: _Force = False
+    tables: ClassVar[tuple[str, ...]] = ("agent", "robot", "true_noise")
 
 
 @dataclass(frozen=True)
@@ -258,36 +159,36 @@ class ReplayOptions(Bounded):
     other_log: Path | None = None
     beams: Annotated[
         str | None,
-        told(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few"),
+        Help(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few"),
     ] = None
     max_range: Annotated[
-        float | None, told(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")
+        float | None, Help(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")
     ] = None
     missing: Annotated[
         str,
-        told(
+        Help(
             _LOG,
             "What missing ranges (nan, empty, negative, 0, 65535) mean: nothing (was seen), "
             "not-measured, or auto, what the log says.",
         ),
     ] = "auto"
     metres_per_tick: Annotated[
-        float, told(_TABLE, "Wheel travel for each 1 in left and right, m.")
+        float, Help(_TABLE, "Wheel travel for each 1 in left and right, m.")
     ] = 1.0
     accumulated: Annotated[
         bool,
-        told(_TABLE, "The columns left and right count from the start, not from the row before."),
+        Help(_TABLE, "The columns left and right count from the start, not from the row before."),
     ] = False
     axle: Annotated[
         float | None,
-        told(_TABLE, "Distance between the wheels, m, in place of the robot's.", "that of --robot"),
+        Help(_TABLE, "Distance between the wheels, m, in place of the robot's.", "that of --robot"),
     ] = None
     range_unit: Annotated[
-        str | None, told(_TABLE, "Unit of the ranges: m, cm or mm.", "that of their names, or m")
+        str | None, Help(_TABLE, "Unit of the ranges: m, cm or mm.", "that of their names, or m")
     ] = None
     time_unit: Annotated[
         str | None,
-        told(
+        Help(
             _TABLE,
             "Unit of the times: s, ms, us or ns.",
             "that of the name or of the spacing, or s",
@@ -295,50 +196,50 @@ class ReplayOptions(Bounded):
     ] = None
     angle_unit: Annotated[
         str | None,
-        told(_TABLE, "Unit of headings and turns: rad or deg.", "that of their names, or rad"),
+        Help(_TABLE, "Unit of headings and turns: rad or deg.", "that of their names, or rad"),
     ] = None
     position_unit: Annotated[
         str | None,
-        told(
+        Help(
             _TABLE,
             "Unit of positions and travelled distances: m, cm or mm.",
             "that of their names, or m",
         ),
     ] = None
     wheel_radius: Annotated[
-        float | None, told(_TABLE, "Radius of the wheels, m, of speeds in rad/s or rpm.", "none")
+        float | None, Help(_TABLE, "Radius of the wheels, m, of speeds in rad/s or rpm.", "none")
     ] = None
     zone_axes: Annotated[
         str | None,
-        told(
+        Help(
             _TABLE,
             "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.",
         ),
     ] = None
     columns: Annotated[
         str | None,
-        told(
+        Help(
             _TABLE,
             "What the columns hold, in place of the header: t,left,right,r_90,..., with - for one "
             "not used, and - before the name of one that counts the other way.",
         ),
     ] = None
     dry_run: Annotated[
-        bool, told(_LOG, "Say how the log is read, with its first rows, and stop.")
+        bool, Help(_LOG, "Say how the log is read, with its first rows, and stop.")
     ] = False
     as_read: Annotated[
         bool,
-        told(
+        Help(
             _LOG,
             "Replay the log even if its ranges fit far better with its wheels read in another way.",
         ),
     ] = False
     noise: _AssumedStd = 0.02
-    preset: _Preset = DEFAULT_PRESET
-    map: _Map = None
+    preset: Preset = DEFAULT_PRESET
+    map: Map = None
     odometry_noise: Annotated[
         str | None,
-        told(
+        Help(
             _ODOMETRY,
             "Three standard deviations: of the distance after 1 m (m), of the heading after 1 m "
             "(deg), "
@@ -348,7 +249,7 @@ class ReplayOptions(Bounded):
     ] = None
     odometry_bias: Annotated[
         str | None,
-        told(
+        Help(
             _ODOMETRY,
             "True minus reported heading after 1 m (deg), and true distance over reported "
             "distance.",
@@ -356,11 +257,11 @@ class ReplayOptions(Bounded):
         ),
     ] = None
     calibrate: Annotated[
-        Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")
+        Path | None, Help(_ODOMETRY, "File of known relative poses to estimate the bias from.")
     ] = None
     topics: Annotated[
         str | None,
-        told(
+        Help(
             _LOG,
             "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry.",
         ),
@@ -369,6 +270,7 @@ class ReplayOptions(Bounded):
     other_relations: Path | None = None
     out: _Out = None
     force: _Force = False
+    tables: ClassVar[tuple[str, ...]] = ("agent", "robot")
 
 
 @dataclass(frozen=True)
@@ -378,47 +280,48 @@ class LiveOptions(Bounded):
     """
 
     serial: Annotated[
-        str | None, told(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")
+        str | None, Help(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")
     ] = None
     baud: Annotated[int, Bounds(300, 10**7)] = 115200
-    udp: Annotated[int | None, told(_CONNECTION, "UDP port on which to wait for the robot.")] = None
+    udp: Annotated[int | None, Help(_CONNECTION, "UDP port on which to wait for the robot.")] = None
     listen: Annotated[
         str,
-        told(
+        Help(
             _CONNECTION,
             "Address of this computer where --udp listens. 0.0.0.0 hears robots in its networks.",
         ),
     ] = "127.0.0.1"
     token: Annotated[
         str | None,
-        told(_CONNECTION, "With --udp, drive only a robot that says this word in its hello."),
+        Help(_CONNECTION, "With --udp, drive only a robot that says this word in its hello."),
     ] = None
     ros2: Annotated[
-        bool, told(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.")
+        bool, Help(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.")
     ] = False
     patience: Annotated[
         float,
         Bounds(0.1, 3600.0),
-        told(_CONNECTION, "How long to wait for a robot that is silent, s."),
+        Help(_CONNECTION, "How long to wait for a robot that is silent, s."),
     ] = 10.0
     max_time: Annotated[
-        _Time, told(_CONNECTION, "Longest time of the session by the robot's clock, s.")
+        Time, Help(_CONNECTION, "Longest time of the session by the robot's clock, s.")
     ] = 1800.0
     noise: _AssumedStd = 0.02
-    preset: _Preset = DEFAULT_PRESET
-    policy: Annotated[str, told(_AGENT, _POLICIES)] = "frontier"
-    until: _Until = "walls"
+    preset: Preset = DEFAULT_PRESET
+    policy: Annotated[str, Help(AGENT, POLICIES)] = "frontier"
+    until: Until = "walls"
     watch: _Watch = False
     out: _Out = None
     force: _Force = False
+    tables: ClassVar[tuple[str, ...]] = ("agent", "robot")
 
 
 Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
 
 
-def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a function a command that has the options of a dataclass, and then those of its own
-    named arguments.
+def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a function a command that has the options of a dataclass, if one is given, and then
+    those of its own named arguments.
 
     The function gets the options of the dataclass as keyword arguments, None for those that were
     not given.
@@ -426,7 +329,7 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None
 
     def decorated(function: Callable[..., None]) -> Callable[..., None]:
         own = [
-            each
+            each.replace(annotation=_with_option(each.name, each.annotation))
             for each in inspect.signature(function).parameters.values()
             if each.kind is not each.VAR_KEYWORD
         ]
@@ -435,7 +338,7 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None
         def command(**arguments: Any) -> None:
             function(**arguments)
 
-        parameters = [*_declared(kind), *own]
+        parameters = own if kind is None else [*_declared(kind), *own]
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what typer looks at
         command.__annotations__ = {each.name: each.annotation for each in parameters}
         return command
@@ -446,28 +349,31 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None
 def _declared(kind: type[Any]) -> list[inspect.Parameter]:
     """The arguments of a function that typer makes the options of a dataclass of."""
     hints = get_type_hints(kind, include_extras=True)
-    found = list[inspect.Parameter]()
-    for field in fields(kind):
-        plain, *extras = (
-            get_args(hints[field.name]) if hasattr(hints[field.name], "__metadata__") else (None,)
+    options = {
+        field.name: _with_option(field.name, hints[field.name], field.default)
+        for field in fields(kind)
+    }
+    return [
+        inspect.Parameter(
+            name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=hint
         )
-        said = next((each for each in extras if isinstance(each, OptionInfo)), None)
-        if said is None:
-            continue
-        option = copy(said)
-        if option.show_default is True:
-            is_shown = field.default is not None and field.default is not False
-            option.show_default = (
-                f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
-            )
-            option.show_default = option.show_default if is_shown else False
-        if isinstance(option.default, str):  # where typer keeps the first name of an option
-            option.param_decls = (option.default,)
-        elif plain is bool:  # nothing is said to switch it off
-            option.param_decls = (f"--{field.name.replace('_', '-')}",)
-        option.default = None
-        kind_of_argument = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        found.append(
-            inspect.Parameter(field.name, kind_of_argument, default=option, annotation=plain | None)
-        )
-    return found
+        for name, hint in options.items()
+        if any(isinstance(each, typer.models.OptionInfo) for each in get_args(hint))
+    ]
+
+
+def _with_option(name: str, hint: Any, default: Any = None) -> Any:
+    """The annotation of an argument, with an option of typer in place of its `Help`."""
+    plain, *extras = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
+    said = next((each for each in extras if isinstance(each, Help)), None)
+    if said is None:
+        return hint
+    shown = said.default
+    if shown is True and default in (None, False):
+        shown = False
+    if shown is True:
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+    # Nothing is said to switch a bool off.
+    names = [said.name or f"--{name.replace('_', '-')}"] if said.name or plain is bool else []
+    option = typer.Option(*names, help=said.words, rich_help_panel=said.panel, show_default=shown)
+    return Annotated[plain | None, option]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import ReplayOptions, takes
 from limslam_agent.cli.settings import Given, replay_agent, write_replay_settings
-from limslam_agent.cli.terminal import progress_bar, say, warn
+from limslam_agent.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -36,7 +36,7 @@ def replay(
     """Draw a map from a recorded log, or from two logs of one building."""
     paths = {**_pair("log", log, "LOG"), **_pair("relations", relations, "--relations")}
     given = Given.read(config, {**told, **paths, "robot": robot})
-    options = given.merged(ReplayOptions(), ("agent", "robot"))
+    options = given.merged(ReplayOptions())
     agent = replay_agent(given, options)
     warn(given.warnings(options.preset))
     robot_of_table = _with_axle(given.replay_robot(), options.axle)
@@ -91,7 +91,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     table.
     """
     from limslam_agent.places.saved_map import read_saved_map
-    from limslam_agent.replay.plausibility import map_warnings
+    from limslam_agent.replay.checks import map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
 
     if options.log is None:
@@ -162,8 +162,8 @@ def _carry_out_both(
 def _describe(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
     """Print how a log was read, its first rows, and the warnings about it."""
     from limslam_agent.logs.description import description
+    from limslam_agent.replay.checks import log_warnings
     from limslam_agent.replay.misreading import misread
-    from limslam_agent.replay.plausibility import log_warnings
 
     say(f"log         {path}", *description(log))
     warn(log_warnings(log, misread(log, options.metres_per_tick)))
@@ -171,8 +171,8 @@ def _describe(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
 
 def _check_reading(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
     """Warn of what is unlikely about a log. Refuse it if it was certainly read in a wrong way."""
+    from limslam_agent.replay.checks import log_warnings
     from limslam_agent.replay.misreading import misread
-    from limslam_agent.replay.plausibility import log_warnings
 
     misreading = misread(log, options.metres_per_tick)
     if misreading is not None and misreading.is_certain and not options.as_read:

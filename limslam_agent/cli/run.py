@@ -4,7 +4,6 @@ import re
 import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +12,8 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import RunOptions, takes
 from limslam_agent.cli.settings import Given, run_config, run_options, write_run_settings
-from limslam_agent.cli.terminal import Advance, progress_bar, say, warn
 from limslam_agent.endings import code_of, exit_code, noted_endings
+from limslam_agent.terminal import Advance, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.mapping.team import LimSlamTeam
@@ -46,10 +45,9 @@ def carry_out(given: Given, options: RunOptions) -> None:
     from limslam_agent.output.summary import record_summary, run_summary
 
     config = run_config(given, options)
-    options = replace(options, max_time=config.max_time)
     warn([*given.warnings(options.preset), *config.warnings])
     target = options.out or Path("runs") / _folder_name(config)
-    task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
+    task, total = ("driving", config.max_time) if config.laps else ("exploring", 1.0)
     with (
         new_folder(target, force=options.force, numbered=options.out is None) as folder,
         progress_bar(task, total) as advance,
@@ -57,9 +55,9 @@ def carry_out(given: Given, options: RunOptions) -> None:
         with noted_endings() as noted:
             episode = _shown_run(config, advance, options, lambda: bool(noted))
         if config.agent.run_smoothing is not None and not noted:
-            advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
+            advance(total, "smoothing, and writing the map")
         result, code = _written(folder.beside, episode, noted)
-        write_run_settings(folder.beside, options, config)
+        write_run_settings(folder.beside, config, options.world)
     say(*record_summary(result), *run_summary(result["metrics"], result["cost"]))
     if options.video is not None:
         say(f"video       {options.video}")

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import takes, told
-from limslam_agent.cli.terminal import say, warn
+from limslam_agent.cli.options import takes
+from limslam_agent.config.help import Help
+from limslam_agent.terminal import say, warn
 
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
@@ -27,15 +28,15 @@ class ScoreOptions:
 
     estimated: Annotated[
         Path | None,
-        told(_ESTIMATE, "Estimated trajectory (TUM: t x y z qx qy qz qw).", True, "--est"),
+        Help(_ESTIMATE, "Estimated trajectory (TUM: t x y z qx qy qz qw).", True, "--est"),
     ] = None
-    true: Annotated[Path | None, told(_TRUTH, "True trajectory (TUM), of other times too.")] = None
+    true: Annotated[Path | None, Help(_TRUTH, "True trajectory (TUM), of other times too.")] = None
     relations: Annotated[
-        Path | None, told(_TRUTH, "Known relative poses instead of a true trajectory.")
+        Path | None, Help(_TRUTH, "Known relative poses instead of a true trajectory.")
     ] = None
     covariances: Annotated[
         Path | None,
-        told(
+        Help(
             _ESTIMATE,
             "Covariances of the estimated poses: lines t xx xy xh yy yh hh, or covariance_est.npz "
             "of a run.",
@@ -43,20 +44,20 @@ class ScoreOptions:
     ] = None
     align: Annotated[
         str,
-        told(
+        Help(
             _ESTIMATE,
             "How the frame of the estimate is moved first: none, start (equal first poses) or "
             "path (all poses).",
         ),
     ] = "none"
     max_difference: Annotated[
-        float, told(_ESTIMATE, "Most that the times of two poses may differ, s.")
+        float, Help(_ESTIMATE, "Most that the times of two poses may differ, s.")
     ] = 0.01
-    walls: Annotated[Path | None, told(_MAP, "Estimated walls: a map.json.", True, "--map")] = None
-    world: Annotated[str | None, told(_MAP, "The true walls: a world file or a world's name.")] = (
+    walls: Annotated[Path | None, Help(_MAP, "Estimated walls: a map.json.", True, "--map")] = None
+    world: Annotated[str | None, Help(_MAP, "The true walls: a world file or a world's name.")] = (
         None
     )
-    robot: Annotated[str, told(_MAP, "Robot that drove, which decides what can be seen.")] = "paper"
+    robot: Annotated[str, Help(_MAP, "Robot that drove, which decides what can be seen.")] = "paper"
 
     def __post_init__(self) -> None:
         if self.align not in ALIGNMENTS:
@@ -97,9 +98,9 @@ def score(
     **told: Any,
 ) -> None:
     """Score the trajectory and the map of any SLAM system by the metrics of this project."""
-    from limslam_agent.cli.settings import robot_named
     from limslam_agent.output.atomic_write import atomic_write, check_target
     from limslam_agent.output.export import write_json
+    from limslam_agent.robot_file import robot_named
 
     if out is not None:
         check_target(out, force=force)

@@ -3,8 +3,9 @@ win.
 """
 
 import re
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from limslam_agent.config.tables import (
     updated,
     write_toml,
 )
+from limslam_agent.runs.run_spec import LONGEST_TIME
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -64,33 +66,27 @@ class Given:
         options = {name: value for name, value in arguments.items() if value is not None}
         return cls(path, read_toml(path) if path else {}, options)
 
-    def merged(self, defaults: Options, tables: tuple[str, ...]) -> Options:
+    def merged(self, defaults: Options) -> Options:
         """The options: those on the command line, else those of the file, else the defaults."""
         known: list[str] = [field.name for field in fields(defaults)]
-        unknown = set(self.table).difference(known, tables)
+        unknown = set(self.table).difference(known, defaults.tables)
         if unknown:
-            there = ", ".join([*known, *(f"[{name}]" for name in tables)])
+            there = ", ".join([*known, *(f"[{name}]" for name in defaults.tables)])
             raise SettingsError(
                 f"{self.path}: {min(unknown)}: there is no such setting; there are {there}"
             )
-        in_file = updated(
-            defaults,
-            {name: self.table[name] for name in self.table if name not in tables},
-            str(self.path),
-        )
-        paths: dict[str, Any] = {
-            name: self.beside_file(value)
-            for name, value in asdict(in_file).items()
-            if isinstance(value, Path)
-        }
-        try:
-            return replace(
-                in_file,
-                **paths | {name: value for name, value in self.options.items() if name in known},
-            )
-        except ValueError as error:
-            name, words = str(error).split(" ", 1)
-            raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
+        in_file = {name: value for name, value in self.table.items() if name not in defaults.tables}
+        merged = updated(defaults, in_file, str(self.path))
+        for name, value in vars(merged).items():
+            if isinstance(value, Path):
+                merged = _with(merged, name, self.beside_file(value))
+        for name in self.options.keys() & known:
+            try:
+                merged = _with(merged, name, self.options[name])
+            except ValueError as error:
+                words = str(error).removeprefix(name)
+                raise SettingsError(f"--{name.replace('_', '-')}{words}") from error
+        return merged
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""
@@ -167,6 +163,7 @@ class Given:
         """The robot of ``--robot``, else the paper's robot with the changes in the file's table
         ``robot``.
         """
+        from limslam_agent.robot_file import robot_named
         from limslam_env.interface import RobotSpec
 
         named = self.options.get("robot")
@@ -180,88 +177,21 @@ class Given:
         """
         return self.robot() if "robot" in self.options or "robot" in self.table else None
 
-    def blamed(self, error: ValueError) -> ValueError:
-        """An error about a value, with the file and the key where the value is from the file."""
-        told = {name: value for name, value in self.table.items() if name not in self.options}
-        key = next(
-            (
-                name
-                for name, value in told.items()
-                if isinstance(value, str) and repr(value) in str(error)
-            ),
-            None,
-        )
-        return SettingsError(f"{self.path}: {key}: {error}") if key else error
+    @contextmanager
+    def naming(self, name: str) -> Iterator[None]:
+        """Name the file and the key in an error about a setting that the file has set."""
+        try:
+            yield
+        except ValueError as error:
+            if name in self.options or name not in self.table:
+                raise
+            raise SettingsError(f"{self.path}: {name}: {error}") from error
 
 
-@dataclass(frozen=True)
-class _RimBeams:
-    """Beams that start on the rim of the body and point straight out, as a robot's file may
-    describe them.
-    """
-
-    beams_deg: tuple[float, ...] = ()
-    min_range: float = 0.05
-    max_range: float = 1.5
-
-
-def robot_named(named: str) -> "RobotSpec":
-    """A robot that ships with the package by its name, or the robot in a TOML file.
-
-    The file has the settings of `RobotSpec`. Its beams are tables of `SensorSpec`, or
-    ``beams_deg``, ``min_range`` and ``max_range`` for beams that start on the rim of the body.
-    """
-    from limslam_env.robots import ROBOTS
-
-    if named.replace("_", "-") in ROBOTS:
-        return ROBOTS[named.replace("_", "-")]()
-    if not named.endswith(".toml"):
-        raise SettingsError(
-            f"--robot: no robot is called {named!r}; there are {', '.join(ROBOTS)}, or a .toml file"
-        )
-    try:
-        table = read_toml(Path(named))
-        missing = next((name for name in ("radius", "axle") if name not in table), None)
-        robot = _robot_in(table, named)
-    except SettingsError as error:
-        raise SettingsError(f"--robot: {error}") from error
-    if missing is not None:
-        raise SettingsError(
-            f"--robot: {named}: {missing} is missing: a robot's file needs radius and axle, m"
-        )
-    return robot
-
-
-def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
-    """The robot of a file's table."""
-    from limslam_env.interface import RobotSpec, beams_on_rim
-
-    of_rim = [field.name for field in fields(_RimBeams)]
-    names = [*(field.name for field in fields(RobotSpec)), *of_rim]
-    unknown = next((name for name in table if name not in names), None)
-    if unknown is not None:
-        raise SettingsError(
-            f"{where}: {unknown}: there is no such setting; there are {', '.join(names)}"
-        )
-    rim = {name: table.pop(name) for name in of_rim if name in table}
-    robot = updated(RobotSpec(), table, where)
-    if not rim:
-        return robot
-    if "beams_deg" not in rim or "beams" in table:
-        wrong = (
-            f"beams and {min(rim)} both describe the beams"
-            if "beams" in table
-            else f"{min(rim)} goes with beams_deg"
-        )
-        raise SettingsError(f"{where}: {wrong}")
-    on_rim = updated(_RimBeams(), rim, where)
-    try:
-        beams = beams_on_rim(
-            on_rim.beams_deg, robot.radius, min_range=on_rim.min_range, max_range=on_rim.max_range
-        )
-        return replace(robot, beams=beams)
-    except ValueError as error:
-        raise SettingsError(f"{where}: {error}") from error
+def _with(options: Options, name: str, value: Any) -> Options:
+    """The options with another value of one of them."""
+    changed: dict[str, Any] = {name: value}
+    return replace(options, **changed)
 
 
 def _wheel_variance(std: float) -> float:
@@ -275,15 +205,13 @@ def _wheel_variance(std: float) -> float:
 
 def run_options(given: Given) -> RunOptions:
     """The options of a run; paths of a world and a policy in the file are relative to the file."""
-    options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
+    options = given.merged(RunOptions())
     for name, ends in (("world", r"\.\w+"), ("policy", r"\.py:\w+")):
         value = getattr(options, name)
-        is_file = re.search(rf"{ends}$", value) and not value.startswith(
-            "random:"
-        )  # its size may have a decimal point
+        # The size of a random plan may have a decimal point.
+        is_file = re.search(rf"{ends}$", value) and not value.startswith("random:")
         if name not in given.options and name in given.table and is_file:
-            beside: dict[str, Any] = {name: str(given.beside_file(Path(value)))}
-            options = replace(options, **beside)
+            options = _with(options, name, str(given.beside_file(Path(value))))
     return replace(options, ablation=None) if options.ablation == "none" else options
 
 
@@ -292,56 +220,44 @@ def exploring_agent(given: Given, options: RunOptions | LiveOptions) -> "AgentCo
     from limslam_agent.config.presets import preset, with_until
     from limslam_env.interface import NominalNoise
 
-    return given.agent(
-        with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
-    )
+    with given.naming("preset"):
+        agent = preset(options.preset, NominalNoise(options.noise))
+    with given.naming("until"):
+        agent = with_until(agent, options.until)
+    return given.agent(agent)
 
 
 def run_config(given: Given, options: RunOptions) -> "RunConfig":
     """What is run. Without a longest time, that of a large world grows with its ground."""
-    from limslam_agent.runs.run_config import LONGEST_TIME, RunConfig
+    from limslam_agent.config.presets import ablated
+    from limslam_agent.runs.policies import check_policy
+    from limslam_agent.runs.run_config import RunConfig
     from limslam_env.config import NoiseConfig
     from limslam_env.worlds.formats.loading import load_world
 
-    try:
+    spec = options.spec
+    with given.naming("world"):
         world = load_world(
             options.world,
             metres_per_pixel=options.metres_per_pixel,
             metres_per_unit=options.metres_per_unit,
             layers=layer_names(options.layers),
         )
-        max_time = options.max_time
-        agent = exploring_agent(given, options)
-        if "odometry_noise" in given.options:
-            variance = _wheel_variance(given.options["odometry_noise"])
-            agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
-        if "max_time" not in given.options and "max_time" not in given.table:
-            max_time = min(
-                max(max_time, _TIME_PER_GROUND * world.size[0] * world.size[1]), LONGEST_TIME
-            )
-        return RunConfig(
-            world,
-            options.noise,
-            options.preset,
-            options.seed,
-            max_time,
-            options.laps,
-            given.robot(),
-            options.robots,
-            options.ablation,
-            options.policy,
-            options.limit,
-            agent,
-            given.true_noise(NoiseConfig()),
-            kidnap_at=options.kidnap_at,
-            prior_map=options.map,
-            unknown_starts=options.unknown_starts,
-            imu=options.imu,
-        )
-    except SettingsError:
-        raise
-    except ValueError as error:
-        raise given.blamed(error) from error
+    agent = exploring_agent(given, options)
+    with given.naming("ablation"):
+        _ = options.ablation and ablated(agent, options.ablation)
+    with given.naming("policy"):
+        check_policy(options.policy, options.laps, options.robots)
+    if "odometry_noise" in given.options:
+        variance = _wheel_variance(given.options["odometry_noise"])
+        agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
+    if not {"max_time"} & (given.options.keys() | given.table.keys()):
+        ground = world.size[0] * world.size[1]
+        spec["max_time"] = min(max(options.max_time, _TIME_PER_GROUND * ground), LONGEST_TIME)
+    true_noise = given.true_noise(NoiseConfig())
+    return RunConfig(
+        **spec | {"world": world}, true_noise=true_noise, robot=given.robot(), settings=agent
+    )
 
 
 def layer_names(text: str | None) -> list[str] | None:
@@ -349,9 +265,9 @@ def layer_names(text: str | None) -> list[str] | None:
     return None if text is None else [name.strip() for name in text.split(",")]
 
 
-def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -> None:
+def write_run_settings(folder: Path, config: "RunConfig", world: str) -> None:
     """Write the file that repeats a run: all settings as they were in effect, before the
-    ablation.
+    ablation. ``world`` is the world as it was asked for.
     """
     from limslam_agent.config.presets import preset
     from limslam_env.interface import NominalNoise
@@ -359,15 +275,13 @@ def write_run_settings(folder: Path, options: RunOptions, config: "RunConfig") -
     agent = config.settings or preset(config.preset, NominalNoise(config.noise))
     noise = table_of(config.true_noise)
     del noise["sensor_noise"]
-    # The world is kept as a table, in metres.
-    in_metres = replace(options, metres_per_pixel=None, metres_per_unit=None, layers=None)
     table = {
-        **_option_table(in_metres),
-        "world": _named(options.world),
-        "policy": _kept_policy(folder, options.policy),
+        **_option_table(config.spec),
+        "world": _named(world),
+        "policy": _kept_policy(folder, config.policy),
         "true_noise": noise,
         "robot": table_of(config.robot),
-        "agent": _agent_table(agent, options.noise),
+        "agent": _agent_table(agent, config.noise),
     }
     write_toml(
         folder / FILE, table, f"All settings of a run: limslam run --config {FILE} repeats it."
@@ -412,7 +326,8 @@ def write_replay_settings(
     calibration.
     """
     in_agent = ("odometry_noise", "odometry_bias")
-    table = {name: value for name, value in _option_table(options).items() if name not in in_agent}
+    told = {name: value for name, value in vars(options).items() if name not in in_agent}
+    table = _option_table(told)
     table["agent"] = _agent_table(agent, options.noise)
     if robot is not None:
         table["robot"] = table_of(robot)
@@ -438,11 +353,11 @@ def write_live_settings(folder: Path, options: LiveOptions, agent: "AgentConfig"
     )
 
 
-def _option_table(options: RunOptions | ReplayOptions) -> dict[str, Any]:
-    told = {name: value for name, value in asdict(options).items() if name not in _OUTPUT}
+def _option_table(options: Table) -> dict[str, Any]:
     return {
         name: str(value.absolute()) if isinstance(value, Path) else value
-        for name, value in told.items()
+        for name, value in options.items()
+        if name not in _OUTPUT
     }
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.terminal import print_table, say
+from limslam_agent.terminal import print_table, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable

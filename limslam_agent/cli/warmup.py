@@ -42,7 +42,7 @@ def _single() -> None:
     from limslam_agent.runs.run_config import RunConfig
 
     # Late beams are looked for after some seconds, and by then all else has been used.
-    run_episode(RunConfig("square", 0.02, max_time=30.0))
+    run_episode(RunConfig("square", max_time=30.0, until="seen"))
 
 
 def _batch() -> None:
@@ -81,7 +81,7 @@ def _smoothers() -> None:
     from limslam_agent.runs.episode import run_episode
     from limslam_agent.runs.run_config import RunConfig
 
-    lap = run_episode(RunConfig("square", 0.02, laps=1))
+    lap = run_episode(RunConfig("square", laps=1, until="seen"))
     _ = lap.smoothed
     log = RecordedLog(
         robot=lap.config.robot,

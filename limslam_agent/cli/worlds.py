@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit
+from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit, takes
 from limslam_agent.cli.settings import layer_names
-from limslam_agent.cli.terminal import print_table, say, warn
+from limslam_agent.terminal import print_table, say, warn
 
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
@@ -39,6 +39,7 @@ def list_worlds(context: typer.Context) -> None:
 
 
 @worlds.command()
+@takes()
 def check(
     world: Annotated[
         str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")
@@ -82,6 +83,7 @@ def check(
 
 
 @worlds.command()
+@takes()
 def convert(
     source: Annotated[
         str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")

@@ -17,7 +17,6 @@ import numpy as np
 
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, entry, lean_entry
-from limslam_agent.kernels.measurement import fill_transport
 from limslam_agent.kernels.tables import POSE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -169,6 +168,51 @@ def dense_rows(P: FloatArray, size: int, whole: int, columns: IntArray) -> Float
         for j in range(end, size):
             rows[i, j] = P[j, column]
     return rows
+
+
+@compiled
+def fill_transport(
+    x: FloatArray,
+    size: int,
+    begins: tuple[int, int, int],
+    anchors: FloatArray,
+    num_lines: int,
+    out: FloatArray,
+) -> None:
+    """Derivative (size, 3) of the state by the first robot's pose when robot and world move
+    together rigidly.
+
+    ``begins`` says where the poses end in the state, and where lines and clones begin. ``out`` is
+    filled.
+    """
+    poses_end, first, clones_from = begins
+    out[:size] = 0.0
+    for place in range((poses_end + size - clones_from) // POSE):
+        # The clones do not begin at a multiple of three.
+        at = POSE * place
+        row = at if at < poses_end else at - poses_end + clones_from
+        for k in range(POSE):
+            out[row + k, k] = 1.0
+        out[row, 2] = x[1] - x[row + 1]
+        out[row + 1, 2] = x[row] - x[0]
+    for number in range(num_lines):
+        row = first + 2 * number
+        cos = math.cos(x[row + 1])
+        sin = math.sin(x[row + 1])
+        out[row, 0] = cos
+        out[row, 1] = sin
+        out[row, 2] = cos * (x[1] - anchors[number, 1]) - sin * (x[0] - anchors[number, 0])
+        out[row + 1, 2] = 1.0
+
+
+@entry
+def error_transport(
+    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int
+) -> FloatArray:
+    """What :func:`fill_transport` fills (size, 3), as Python calls it."""
+    moved = np.empty((size, POSE))
+    fill_transport(x, size, begins, anchors, num_lines, moved)
+    return moved
 
 
 @compiled

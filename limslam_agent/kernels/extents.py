@@ -9,10 +9,12 @@ All but the clearing along beams is rare and therefore plain; the batch compiles
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import compiled, lean_entry
+from limslam_agent.kernels.beams import Ray, line_about, meeting, passes
+from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.tables import (
     ANGLE,
     BIN,
@@ -21,7 +23,6 @@ from limslam_agent.kernels.tables import (
     FARTHEST,
     FROM_X,
     FROM_Y,
-    GRAZING,
     GROUPS,
     HITS,
     LEAST,
@@ -34,7 +35,6 @@ from limslam_agent.kernels.tables import (
     NEXT_NUMBER,
     NUMBER,
     OVERFLOWS,
-    POSE,
     READINGS,
     THROUGH_SIGMAS,
     THROUGH_SLACK,
@@ -42,6 +42,27 @@ from limslam_agent.kernels.tables import (
     Walls,
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+
+class Looks(NamedTuple):
+    """What the beams of a robot read in a step.
+
+    Attributes
+    ----------
+    ranges, measured
+        Readings (b,), m, and which of them (b,) are new.
+    beams
+        ``RobotSpec.beam_table``.
+    std, growth
+        Standard deviation of a short range, m, and ``RangeSensor.growth``.
+    """
+
+    ranges: FloatArray
+    measured: BoolArray
+    beams: FloatArray
+    std: float
+    growth: float
+
 
 _FARTHEST_BIN = 1 << 40  # a bin farther along a line comes from a place that has overflowed
 
@@ -151,7 +172,7 @@ def merge_walls(
     walls.tally[CLOSURES] += 1
 
 
-@lean_entry
+@entry
 def clear_along_beams(
     walls: Walls,
     x: FloatArray,
@@ -159,56 +180,39 @@ def clear_along_beams(
     counts: IntArray,
     anchors: FloatArray,
     at: int,
-    ranges: FloatArray,
-    measured: BoolArray,
-    beams: FloatArray,
-    noise: tuple[float, float],
-    rays: FloatArray,
+    looks: Looks,
 ) -> None:
     """Count the places of landmarks that a robot's new beams have passed through.
 
     The lines and the robot's pose, which begins at the index ``at``, are those of a ``Filter``.
-    ``beams`` is ``RobotSpec.beam_table``, and ``noise`` the standard deviation of a short range, m,
-    and the growth of ``RangeSensor``. ``rays`` (b, 6) is scratch: origin, direction, length, m, and
-    margin, m, of the beams that count.
     """
-    pose = x[at : at + POSE]
     unsure = covariance[at, at] + covariance[at + 1, at + 1]
     turned = covariance[at + 2, at + 2]
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
+    cos = math.cos(x[at + 2])
+    sin = math.sin(x[at + 2])
     count = 0
-    for beam in range(len(ranges)):
-        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            far = min(ranges[beam], beams[beam, FARTHEST])
-            heading = pose[2] + beams[beam, ANGLE]
-            rays[count, 0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
-            rays[count, 1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
-            rays[count, 2], rays[count, 3], grown = (
-                math.cos(heading),
-                math.sin(heading),
-                noise[1] * far * far,
-            )
-            margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + unsure + turned * far**2)
+    # Origin and direction of the beams that count, their free lengths, m, and margins, m.
+    rays = np.empty((len(looks.ranges), 6))
+    for beam in range(len(looks.ranges)):
+        own = looks.beams[beam]
+        if looks.measured[beam] and looks.ranges[beam] > own[TOO_NEAR]:
+            far = min(looks.ranges[beam], own[FARTHEST])
+            heading = x[at + 2] + own[ANGLE]
+            rays[count, 0] = x[at] + cos * own[FROM_X] - sin * own[FROM_Y]
+            rays[count, 1] = x[at + 1] + sin * own[FROM_X] + cos * own[FROM_Y]
+            rays[count, 2] = math.cos(heading)
+            rays[count, 3] = math.sin(heading)
+            grown = looks.growth * far * far
             rays[count, 4] = far - THROUGH_SLACK
-            rays[count, 5] = margin
-            count = count + 1
+            rays[count, 5] = THROUGH_SIGMAS * math.sqrt(
+                looks.std**2 + grown**2 + unsure + turned * far**2
+            )
+            count += 1
     for index in range(counts[LINES]):
-        line = counts[LINES_FROM] + 2 * index
-        low = walls.ends[index, LEAST]
-        high = walls.ends[index, MOST]
-        nx = math.cos(x[line + 1])
-        ny = math.sin(x[line + 1])
-        for ray in range(count):
-            ux = rays[ray, 2]
-            uy = rays[ray, 3]
-            cosine = ux * nx + uy * ny
-            if abs(cosine) <= GRAZING:
-                continue
-            off_x = rays[ray, 0] - anchors[index, 0]
-            off_y = rays[ray, 1] - anchors[index, 1]
-            ahead = (x[line] - off_x * nx - off_y * ny) / cosine
-            if ahead > 0.0 and ahead + rays[ray, 5] / abs(cosine) < rays[ray, 4]:
-                position = (off_y + ahead * uy) * nx - (off_x + ahead * ux) * ny
-                if low < position < high:
-                    pass_at(walls, index, position)
+        at_line = counts[LINES_FROM] + 2 * index
+        line = line_about(x[at_line], x[at_line + 1], (anchors[index, 0], anchors[index, 1]))
+        for number in range(count):
+            ray = Ray(rays[number, 0], rays[number, 1], rays[number, 2], rays[number, 3])
+            distance, along, cosine = meeting(ray, line)
+            if passes(distance, cosine, rays[number, 4], rays[number, 5]):
+                pass_at(walls, index, along)

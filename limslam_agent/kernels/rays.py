@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.algebra import factorise, solve_factored, wrapped
+from limslam_agent.kernels.beams import Line, Ray, end_of_ray, meeting, passes, read_share
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.measurement import read_share
 from limslam_agent.kernels.readings import normal_density
 from limslam_agent.kernels.tables import (
     GRAZING,
@@ -23,6 +23,7 @@ from limslam_agent.kernels.tables import (
     RAY_TO_Y,
     RAY_X,
     RAY_Y,
+    THROUGH_SIGMAS,
     UNRELATED,
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -53,34 +54,21 @@ def fill_table(segments: FloatArray, table: FloatArray) -> None:
         table[wall, _START_X] = segments[wall, 0]
         table[wall, _START_Y] = segments[wall, 1]
         table[wall, _LENGTH] = length
-        table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = (
-            x / max(length, 1e-9),
-            y / max(length, 1e-9),
-        )
+        table[wall, _TANGENT_X] = x / max(length, 1e-9)
+        table[wall, _TANGENT_Y] = y / max(length, 1e-9)
 
 
 @compiled
-def crossing(
-    ray: tuple[float, float, float, float], walls: FloatArray, wall: int
-) -> tuple[float, float, float]:
+def crossing(ray: Ray, wall: FloatArray) -> tuple[float, float, float]:
     """Where a beam meets the line of a wall: how far along the beam, m, how far beyond the wall's
     ends, m, and cosine.
 
-    The distance is negative if the beam meets the line behind it, or at a grazing angle. The
-    position is negative between the ends. The cosine, without sign, is that of the angle between
-    the beam and the wall's normal.
+    The position is negative between the ends. The cosine, without sign, is that of the angle
+    between the beam and the wall's normal.
     """
-    x, y, ux, uy = ray
-    tx = walls[wall, _TANGENT_X]
-    ty = walls[wall, _TANGENT_Y]
-    cosine = uy * tx - ux * ty
-    away_x = x - walls[wall, _START_X]
-    away_y = y - walls[wall, _START_Y]
-    distance = -1.0
-    if abs(cosine) > GRAZING:
-        distance = (away_x * ty - away_y * tx) / cosine
-    along = away_x * tx + away_y * ty + distance * (ux * tx + uy * ty)
-    return distance, max(-along, along - walls[wall, _LENGTH]), abs(cosine)
+    line = Line(0.0, wall[_TANGENT_Y], -wall[_TANGENT_X], wall[_START_X], wall[_START_Y])
+    distance, along, cosine = meeting(ray, line)
+    return distance, max(-along, along - wall[_LENGTH]), abs(cosine)
 
 
 @compiled
@@ -95,7 +83,7 @@ def wall_evidence(length: float, reach: float, wall: float, std: float) -> float
 
 @compiled
 def free_length(
-    ray: tuple[float, float, float, float],
+    ray: Ray,
     longest: float,
     values: NDArray[np.int16],
     low: FloatArray,
@@ -106,11 +94,10 @@ def free_length(
 
     The value is that of a free cell if none ends it. Cells outside of the grid are unknown.
     """
-    x, y, ux, uy = ray
     for step in range(math.ceil(2.0 * longest / cell)):
         along = 0.5 * step * cell
-        row = math.floor((y + along * uy - low[1]) / cell)
-        column = math.floor((x + along * ux - low[0]) / cell)
+        row = math.floor((ray.y + along * ray.to_y - low[1]) / cell)
+        column = math.floor((ray.x + along * ray.to_x - low[0]) / cell)
         if not (0 <= row < values.shape[0] and 0 <= column < values.shape[1]):
             return along, 0
         if values[row, column] <= 0:
@@ -158,10 +145,12 @@ def explain(
     wall, m^2, and how it grows with the squared distance, rad^2.
     """
     if wall < reach and wall <= free + _UNSEEN:
-        std = math.sqrt(spread[0] + spread[1] * wall**2) / max(cosine, _STEEPEST)
-        margin = _BESIDE + 3.0 * std
-        is_short = length < min(wall, free) - margin
-        against = length if is_short else wall if length > wall + margin else 0.0
+        steep = max(cosine, _STEEPEST)
+        across = math.sqrt(spread[0] + spread[1] * wall**2)
+        std = across / steep
+        is_short = length < min(wall, free) - _BESIDE - THROUGH_SIGMAS * std
+        is_through = passes(wall, steep, length - _BESIDE, THROUGH_SIGMAS * across)
+        against = length if is_short else wall if is_through else 0.0
         return wall_evidence(length, reach, wall, std), against, True
     if free >= reach - 0.05:
         is_empty = length > reach - 0.1
@@ -169,7 +158,7 @@ def explain(
         return math.log(likelihood), 0.0 if is_empty else length, True
     if free <= 0.0:
         return 0.0, 0.0, False
-    if length < free - _BESIDE - 3.0 * math.sqrt(spread[0] + spread[1] * free**2):
+    if length < free - _BESIDE - THROUGH_SIGMAS * math.sqrt(spread[0] + spread[1] * free**2):
         return math.log(UNRELATED), length, True
     # Beyond known ground, a reading is no surprise at a random place either: it mostly goes on
     # along what the beam saw before, and not each of many such readings is news.
@@ -182,7 +171,7 @@ def explain(
 
 @compiled
 def weigh_ray(
-    ray: tuple[float, float, float, float],
+    ray: Ray,
     length: float,
     reach: float,
     walls: FloatArray,
@@ -202,8 +191,8 @@ def weigh_ray(
     cosine_longer = 1.0
     cosine_shorter = 1.0
     for wall in range(len(walls)):
-        distance, beyond, cosine = crossing(ray, walls, wall)
-        if distance < 0.0 or beyond >= _OVER:
+        distance, beyond, cosine = crossing(ray, walls[wall])
+        if distance < 0.0 or beyond >= _OVER or cosine <= GRAZING:
             continue
         distance *= read_share(cosine, cone)
         if distance < longer:
@@ -227,7 +216,7 @@ def weigh_ray(
         # beside a wide beam.
         around = 1 + int(length * math.sin(cone) / cell)
         if not is_inside(
-            ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around
+            ray.x + length * ray.to_x, ray.y + length * ray.to_y, values, low, cell, around
         ):
             evidence = max(evidence, 0.0)
             against = 0.0
@@ -235,17 +224,17 @@ def weigh_ray(
 
 
 @compiled
-def placed_ray(
-    x0: float, y0: float, cos: float, sin: float, rays: FloatArray, number: int
-) -> tuple[float, float, float, float]:
-    """Origin, m, and direction of a ray, moved by a pose at (x0, y0), m, with this cosine and sine
+def placed_ray(x0: float, y0: float, cos: float, sin: float, rays: FloatArray, number: int) -> Ray:
+    """A ray, moved by a pose at (x0, y0), m, with this cosine and sine
     of its heading.
     """
     x = rays[number, RAY_X]
     y = rays[number, RAY_Y]
     ux = rays[number, RAY_TO_X]
     uy = rays[number, RAY_TO_Y]
-    return x0 + cos * x - sin * y, y0 + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
+    return Ray(
+        x0 + cos * x - sin * y, y0 + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
+    )
 
 
 @lean_entry
@@ -318,7 +307,7 @@ def weigh_rays(
     """
     fill_table(segments, walls)
     for i in range(len(rays)):
-        ray = rays[i, RAY_X], rays[i, RAY_Y], rays[i, RAY_TO_X], rays[i, RAY_TO_Y]
+        ray = Ray(rays[i, RAY_X], rays[i, RAY_Y], rays[i, RAY_TO_X], rays[i, RAY_TO_Y])
         found[i, 0], found[i, 1], found[i, 2] = weigh_ray(
             ray, rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell, spread, cone
         )
@@ -373,16 +362,14 @@ def add_residuals(
     cos = math.cos(pose[2])
     sin = math.sin(pose[2])
     for number in range(len(rays)):
-        from_x, from_y, to_x, to_y = placed_ray(x0, y0, cos, sin, rays, number)
+        ray = placed_ray(x0, y0, cos, sin, rays, number)
         length = rays[number, RAY_LENGTH]
-        end_x = from_x + length * to_x
-        end_y = from_y + length * to_y
+        end_x, end_y = end_of_ray(ray, length)
         normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
         if cone > 0.0 and (normal_x != 0.0 or normal_y != 0.0):
             # The middle of a wide beam meets the wall farther away than the beam reads.
-            length /= read_share(normal_x * to_x + normal_y * to_y, cone)
-            end_x = from_x + length * to_x
-            end_y = from_y + length * to_y
+            length /= read_share(normal_x * ray.to_x + normal_y * ray.to_y, cone)
+            end_x, end_y = end_of_ray(ray, length)
             normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
         x = end_x - x0
         y = end_y - y0

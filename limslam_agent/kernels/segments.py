@@ -4,7 +4,7 @@ they were taken from.
 The tests are generalised least squares with the joint covariance of the poses that the readings
 were taken from. So a bend that comes from the odometry's error is not taken for a corner, and two
 sides of a rounded obstacle are not taken for one wall. Readings, ``places`` and the state are those
-of :mod:`~limslam_agent.kernels.measurement`.
+of :mod:`~limslam_agent.kernels.beams`.
 """
 
 import math
@@ -20,10 +20,10 @@ from limslam_agent.kernels.algebra import (
     sort_with,
     whiten,
 )
+from limslam_agent.kernels.beams import end_of_ray, line_about, predict_ranges, ray_from
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import dense_block
 from limslam_agent.kernels.lines import fit_line
-from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     AROUND_KINK,
@@ -87,7 +87,7 @@ def fit_segment(
     theta = line[1]
     foot = foot_of(points, members, line[0], theta)
     expected = np.empty((len(members), 7))
-    predict_ranges(x, start, places, readings, members, (d, theta), foot, expected)
+    predict_ranges(x, start, places, readings, members, line_about(d, theta, foot), expected)
     for i in range(len(members)):
         if abs(expected[i, 6]) > GRAZING:
             clear[count] = i
@@ -106,7 +106,9 @@ def fit_segment(
     left = np.empty(count)
     for iteration in range(2):
         if iteration:
-            predict_ranges(x, start, places, readings, chosen[:count], (d, theta), foot, expected)
+            predict_ranges(
+                x, start, places, readings, chosen[:count], line_about(d, theta, foot), expected
+            )
         for i in range(count):
             values[i, 0] = readings[chosen[i], 3] - expected[i, 0]
             values[i, 1] = expected[i, 4]
@@ -159,9 +161,8 @@ def place_along(
         if done < len(clear) and clear[done] == i:
             reach = expected[done, 0]
             done = done + 1
-        hit_x, hit_y = end_of_beam(
-            x, at, readings[read], ray_angle(readings[read], x[at + 2], theta), reach
-        )
+        ray = ray_from((x[at], x[at + 1], x[at + 2]), readings[read], (cos, sin))
+        hit_x, hit_y = end_of_ray(ray, reach)
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
 
 

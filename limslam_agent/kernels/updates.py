@@ -3,7 +3,7 @@ fit a line.
 
 The state and its covariance are those of :mod:`~limslam_agent.kernels.covariance`. Readings and
 ``places`` are those of
-:mod:`~limslam_agent.kernels.measurement`. Rows of H are stored without zeros, as ``predict_ranges``
+:mod:`~limslam_agent.kernels.beams`. Rows of H are stored without zeros, as ``predict_ranges``
 fills them.
 """
 
@@ -12,15 +12,16 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
+from limslam_agent.kernels.beams import line_about, predict_ranges
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import (
     change_of_transport,
     dense_block,
     dense_rows,
+    fill_transport,
     transport_pose,
     transport_rows,
 )
-from limslam_agent.kernels.measurement import fill_transport, predict_ranges
 from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -41,7 +42,9 @@ def clear_readings(
     chosen = np.arange(len(places))
     size = 0
     out = np.empty((len(places), 7))
-    predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, out)
+    predict_ranges(
+        x, start, places, readings, chosen, line_about(x[line], x[line + 1], anchor), out
+    )
     for i in range(len(places)):
         if abs(out[i, 6]) > GRAZING and out[i, 0] > 0.0:
             chosen[size] = i
@@ -177,7 +180,7 @@ def compare_readings(
     columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
     H = np.empty((count, 7))
     values = np.empty((count, 3))
-    predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, H)
+    predict_ranges(x, start, places, readings, chosen, line_about(x[line], x[line + 1], anchor), H)
     S = covariance_of(dense_block(P, columns), begins, H, gathered(variances, chosen))
     for i in range(count):
         values[i, 0] = readings[chosen[i], 3] - H[i, 0]
@@ -303,7 +306,9 @@ def iterate(
             change_of_transport(x, size, begins_of, anchors, num_lines, at_first, moved)
             transport_pose(P, moved, pose)
             transport_rows(P, rows, columns, moved, pose, shifted)
-        predict_ranges(x, start, places, readings, chosen, (x[first], x[first + 1]), anchor, H)
+        predict_ranges(
+            x, start, places, readings, chosen, line_about(x[first], x[first + 1], anchor), H
+        )
         set_gained(shifted, columns, begins, H, scaled, bend, HP, S)
         for i in range(count):
             residual = readings[chosen[i], 3] - H[i, 0]

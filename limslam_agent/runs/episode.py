@@ -139,7 +139,7 @@ def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
 
 def team_of(config: RunConfig, policies: Sequence[Policy] | None) -> LimSlamTeam:
     """The robots of a run, with the default policies if none are given."""
-    prior_map = None if config.prior_map is None else read_saved_map(config.prior_map)
+    prior_map = None if config.map is None else read_saved_map(config.map)
     return LimSlamTeam(
         config.robot,
         config.agent,
@@ -157,7 +157,7 @@ def told_starts(config: RunConfig, true: FloatArray) -> FloatArray:
     told = np.array(true)
     if config.unknown_starts:
         told[1] = 0.0
-    if config.prior_map is not None:
+    if config.map is not None:
         told[:] = 0.0
     return told
 

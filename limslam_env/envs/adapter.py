@@ -18,7 +18,8 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import floats
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described, one_line
-from limslam_env.rendering.painter import Overlay, Painter
+from limslam_env.rendering.overlay import Overlay
+from limslam_env.rendering.painter import Painter
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 from limslam_env.worlds.formats.loading import load_world

@@ -25,21 +25,7 @@ from limslam_env.envs.batch_adapter import (
 )
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.messages import described
 from limslam_env.rendering.painter import RENDER_FPS
-
-
-def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec``
-    calls this.
-    """
-    if device == "cpu":
-        return LimSlamVectorEnv(**arguments)
-    if device != "cuda":
-        raise ValueError(f"device must be 'cpu' or 'cuda', not {described(device)}")
-    from limslam_env.envs.device_env import LimSlamDeviceEnv
-
-    return LimSlamDeviceEnv(**arguments)
 
 
 class LimSlamVectorEnv(

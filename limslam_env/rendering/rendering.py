@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
-from limslam_env.rendering.painter import Overlay
+from limslam_env.rendering.overlay import Overlay
 from limslam_env.simulation.coverage import CELL
 from limslam_env.worlds.world import World
 

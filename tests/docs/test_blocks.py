@@ -17,12 +17,12 @@ from support.command_line import app as limslam_app
 from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, name_of, pages
 
 from limslam_agent import read_log
-from limslam_agent.cli.settings import robot_named
 from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.live.emulator.__main__ import app as emulator_app
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.output.summary import record_summary
 from limslam_agent.replay.calibration import calibrated
+from limslam_agent.robot_file import robot_named
 from limslam_env import RobotSpec, load_world
 from limslam_env.interface import beams_on_rim
 

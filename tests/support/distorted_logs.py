@@ -31,7 +31,7 @@ from support.runs import Folder
 
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env import NoiseConfig, load_world
+from limslam_env import load_world
 from limslam_env.metrics import trajectory_metrics
 from limslam_env.robots import ROBOTS
 
@@ -113,7 +113,7 @@ def simulated(seed: int, seconds: float | None = None) -> Drive:
         seed=seed,
         max_time=drawn if seconds is None else seconds,
         robot=ROBOTS[robot_name](),
-        true_noise=NoiseConfig(),
+        until="seen",
     )
     episode = run_episode(config)
     ranges = episode.ranges[:, 0].astype(float)

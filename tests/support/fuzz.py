@@ -216,7 +216,7 @@ def _set_up(path: Path) -> None:
 
 def _set_up_replay(path: Path) -> None:
     given = Given.read(path, {})
-    replay_agent(given, given.merged(ReplayOptions(), ("agent",)))
+    replay_agent(given, given.merged(ReplayOptions()))
 
 
 def _checked(path: Path) -> None:

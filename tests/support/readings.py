@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.measurement import predict_ranges
+from limslam_agent.kernels.beams import line_table, predict_readings
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.pending_readings import places_of
@@ -67,16 +67,9 @@ def expected_rows(
     """What the kernel says of ranges from a pose each (n, 7)."""
     found = np.empty((len(poses), 7))
     places = np.arange(len(poses))
-    predict_ranges(
-        np.ascontiguousarray(poses, dtype=float).ravel(),
-        0,
-        places,
-        readings.rows,
-        places,
-        (float(line[0]), float(line[1])),
-        (float(anchor[0]), float(anchor[1])),
-        found,
-    )
+    poses = np.ascontiguousarray(poses, dtype=float)
+    lines = line_table(line[None], anchor[None])
+    predict_readings(poses, places, readings.rows, lines, np.zeros_like(places), found)
     return found
 
 

@@ -14,8 +14,8 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.terminal import run_command
 from limslam_agent.live.transports import LineBuffer, datagrams
+from limslam_agent.terminal import run_command
 
 if TYPE_CHECKING:
     from limslam_agent.live.emulator.emulator import Emulator
@@ -67,8 +67,8 @@ def emulate(
     ] = None,
 ) -> None:
     """Emulate a robot until the process is ended."""
-    from limslam_agent.cli.settings import robot_named
     from limslam_agent.live.emulator.emulator import Body, Emulator
+    from limslam_agent.robot_file import robot_named
     from limslam_env.config import NoiseConfig
     from limslam_env.worlds.formats.loading import load_world
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.kernels import tables
+from limslam_agent.kernels.extents import Looks
 from limslam_agent.kernels.repeats import is_new
 from limslam_agent.readings import TURN_LENGTH, as_readings
 from limslam_agent.slam.batch import compiled_steps as steps
@@ -373,11 +374,8 @@ def accept(
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
     if steps.is_due(travel, hits, spec.sides, settings):
-        noise = (settings.std, settings.growth)
-        rays = np.empty((len(ranges), 6))
-        steps.clear(
-            walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays
-        )
+        looks = Looks(ranges, measured, beams, settings.std, settings.growth)
+        steps.clear(walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, looks)
         if ekf.counts[tables.CLONES] == len(ekf.clones):
             walls.tally[tables.OVERFLOWS] += 1
             steps.prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)

@@ -10,15 +10,16 @@ import math
 
 import numpy as np
 
+from limslam_agent.kernels.beams import ends_of_beams
 from limslam_agent.kernels.covariance import (
     copy_pose,
     correct_state,
     dense_block,
     dense_rows,
+    error_transport,
     keep_states,
     move_pose,
 )
-from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import (
     CLONES,

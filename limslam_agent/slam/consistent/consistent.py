@@ -472,7 +472,7 @@ class ConsistentEstimator(Estimator):
 
     def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
         """Count the places of landmarks that a robot's new beams have passed through."""
-        from limslam_agent.kernels.extents import clear_along_beams
+        from limslam_agent.kernels.extents import Looks, clear_along_beams
 
         ekf = self.filter.arrays
         sensor = self.sensor
@@ -484,11 +484,7 @@ class ConsistentEstimator(Estimator):
                 ekf.counts,
                 ekf.anchors,
                 POSE * number,
-                front.ranges,
-                front.measured,
-                self._mounted.beam_table,
-                sensor.numbers[:2],
-                np.empty((len(front.ranges), 6)),
+                Looks(front.ranges, front.measured, self._mounted.beam_table, *sensor.numbers[:2]),
             )
 
     def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:

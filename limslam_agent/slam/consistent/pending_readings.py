@@ -123,7 +123,7 @@ def readings_of(
     """Pending readings (n, 5) as the filter takes them: places of their clones (n,), beams and
     ranges, and variances.
 
-    Beams and ranges (n, 6) are those of ``kernels.measurement``, and the number of the beam.
+    Beams and ranges (n, 6) are those of ``kernels.beams``, and the number of the beam.
     """
     numbers = waiting[:, BEAM].astype(np.int64)
     readings = np.empty((len(waiting), 6))

@@ -358,7 +358,7 @@ def by_range_errors(
     tan(phi) more for each radian that it is turned away from the normal. A wider cone reads the
     wall under a ray that is nearer to the perpendicular, and so a shorter range.
 
-    ``expected`` (n, 7) is what ``kernels.measurement.predict_ranges`` fills for the readings (n,
+    ``expected`` (n, 7) is what ``kernels.beams.predict_ranges`` fills for the readings (n,
     6), which were taken with these headings (n,), rad, of a line with its normal at ``theta``, rad.
     ``beams`` is 0 if directions are not estimated.
     """

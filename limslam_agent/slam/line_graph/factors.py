@@ -1,19 +1,15 @@
-"""The factors of the line smoother: expected measurements and their derivatives.
+"""The motions of the line smoother and their derivatives.
 
 A **motion** is (left, right, aside): the travel of both wheels and a shift to the left, m. The
 wheels drive an exact arc, as in :func:`limslam_env.geometry.se2.arc`; the shift is perpendicular to
-the chord of that arc. With the shift, a pair of poses and a motion determine each other. A **line**
-is (d, alpha) about an anchor a: the points x with (cos alpha, sin alpha) . (x - a) = d.
+the chord of that arc. With the shift, a pair of poses and a motion determine each other.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import LEAST_DIVISOR
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import angle_between
 
 _SMALL_TURN = 1e-4  # rad: smaller turns are not divided by
 
@@ -85,103 +81,4 @@ def _arc_over_chord_derivative(half: FloatArray) -> FloatArray:
     sin = np.sin(half)
     return np.where(
         is_small, half / 3.0, (sin - half * np.cos(half)) / np.where(is_small, 1.0, sin * sin)
-    )
-
-
-class Expected(NamedTuple):
-    """What some readings should be.
-
-    Attributes
-    ----------
-    ranges
-        Expected ranges (k,), m; negative behind the beam.
-    by_pose, by_line
-        Derivatives of the ranges by the poses (k, 3) and by the lines (k, 2).
-    cosines
-        Cosines (k,) of the angles between the beams and the normals of the lines.
-    """
-
-    ranges: FloatArray
-    by_pose: FloatArray
-    by_line: FloatArray
-    cosines: FloatArray
-
-
-def expected_readings(
-    poses: FloatArray, beams: FloatArray, lines: FloatArray, anchors: FloatArray, width: float
-) -> Expected:
-    """What beams (x, y, angle) on the body (k, 3) should read of lines (k, 2) with anchors (k, 2)
-    at poses (k, 3).
-
-    ``width`` is half the opening angle of the beams, rad.
-    """
-    cos = np.cos(poses[:, 2])
-    sin = np.sin(poses[:, 2])
-    heading = poses[:, 2] + beams[:, 2]
-    arm_x = cos * beams[:, 0] - sin * beams[:, 1]
-    arm_y = sin * beams[:, 0] + cos * beams[:, 1]
-    ux = np.cos(heading)
-    uy = np.sin(heading)
-    nx = np.cos(lines[:, 1])
-    ny = np.sin(lines[:, 1])
-    cosine = nx * ux + ny * uy
-    # A beam exactly parallel to the line does not meet it. A very large finite distance is used
-    # instead.
-    divisor = np.where(np.abs(cosine) > LEAST_DIVISOR, cosine, LEAST_DIVISOR)
-    x = poses[:, 0] + arm_x - anchors[:, 0]
-    y = poses[:, 1] + arm_y - anchors[:, 1]
-    ranges = (lines[:, 0] - nx * x - ny * y) / divisor
-    swept = arm_x * ny - arm_y * nx + ranges * (ux * ny - uy * nx)
-    by_pose = -np.column_stack((nx, ny, swept)) / divisor[:, None]
-    turned = (x + ranges * ux) * ny - (y + ranges * uy) * nx
-    by_line = np.column_stack((np.ones_like(turned), turned)) / divisor[:, None]
-    found = Expected(ranges, by_pose, by_line, cosine)
-    return widened(found, lines[:, 1] - heading, width) if width else found
-
-
-def widened(ideal: Expected, angles: FloatArray, width: float) -> Expected:
-    """What beams with half an opening angle should read, from what ideal beams should read.
-
-    The beam of an infrared or ultrasonic sensor is a cone. A sensor that reports the nearest point
-    inside the cone reads a wall under its border ray, or at the foot of the perpendicular if the
-    cone contains it, as in
-    :mod:`limslam_agent.kernels.measurement`. With half the opening angle c, and the angle phi
-    between the middle ray and the wall's normal, a wall at distance r along the middle ray reads r
-    cos(phi) / cos(max(|phi| - c, 0)). The error grows with the range and with the slant, up to
-    centimetres, and it never averages out.
-
-    Parameters
-    ----------
-    ideal
-        What ideal beams should read.
-    angles
-        Angles (k,) of the lines' normals minus those of the beams, rad.
-    width
-        Half the opening angle c, rad.
-    """
-    slants = angle_between(angles)
-    border = np.maximum(np.abs(slants) - width, 0.0)
-    by_slant = np.where(
-        border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants)
-    )
-    by_angle = ideal.ranges * by_slant
-    share = np.cos(slants) / np.cos(border)
-    by_pose = ideal.by_pose * share[:, None]
-    by_line = ideal.by_line * share[:, None]
-    by_pose[:, 2] -= by_angle
-    by_line[:, 1] += by_angle
-    return Expected(ideal.ranges * share, by_pose, by_line, ideal.cosines)
-
-
-def rays(poses: FloatArray, beams: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Origins (k, 2), m, and unit vectors (k, 2) of beams (x, y, angle) on the body (k, 3) at poses
-    (k, 3).
-    """
-    cos = np.cos(poses[:, 2])
-    sin = np.sin(poses[:, 2])
-    heading = poses[:, 2] + beams[:, 2]
-    x = cos * beams[:, 0] - sin * beams[:, 1]
-    y = sin * beams[:, 0] + cos * beams[:, 1]
-    return poses[:, :2] + np.column_stack((x, y)), np.column_stack(
-        (np.cos(heading), np.sin(heading))
     )

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 
 from limslam_agent.kernels.tables import FEWEST, GRAZING
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_agent.slam.line_graph.factors import rays
 from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normal
@@ -39,9 +38,10 @@ def with_new_lines(
     readings = problem.readings
     beams = problem.beams[unexplained]
     places = readings.places[unexplained]
-    origins, ahead = rays(state.flat_poses[places], beams)
     distances = problem.true(readings.distances[unexplained], places, state.calibration)
-    points = origins + distances[:, None] * ahead
+    rays = state.rays(places, beams, distances)
+    ahead = rays[:, 2:4]
+    points = rays[:, :2] + distances[:, None] * ahead
     pairs = cKDTree(points).query_pairs(_JOINED, output_type="ndarray")
     near = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
     count, group = connected_components(near, directed=False)

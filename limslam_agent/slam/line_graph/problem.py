@@ -14,18 +14,15 @@ from scipy.linalg import block_diag
 
 from limslam_agent.config.consistent import RangeErrorConfig, SelfCalibrationConfig
 from limslam_agent.config.presets import AgentConfig
+from limslam_agent.kernels.beams import line_table, predict_readings
 from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.turn_meter import turns_of
-from limslam_agent.slam.line_graph.factors import (
-    Expected,
-    drive,
-    expected_readings,
-    motions_between,
-)
+from limslam_agent.slam.line_graph.factors import drive, motions_between
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = AgentConfig.min_range_std
@@ -90,6 +87,30 @@ class Readings:
         return len(self.places)
 
 
+class Expected(NamedTuple):
+    """What k readings should be.
+
+    Attributes
+    ----------
+    ranges
+        Expected ranges (k,), m; negative behind the beam.
+    by_pose, by_line
+        Derivatives of the ranges by the poses (k, 3) and by the lines (k, 2).
+    cosines
+        Cosines (k,) of the angles between the rays that measure and the normals of the lines.
+    """
+
+    ranges: FloatArray
+    by_pose: FloatArray
+    by_line: FloatArray
+    cosines: FloatArray
+
+    @property
+    def along(self) -> FloatArray:
+        """Where the rays meet their lines (k,), m from the lines' anchors."""
+        return np.asarray(-self.by_line[:, 1] / self.by_line[:, 0])
+
+
 @dataclass(frozen=True, eq=False)
 class Problem:
     """The measurements of n robots in t steps, and their standard deviations."""
@@ -125,14 +146,12 @@ class Problem:
 
     @cached_property
     def beams(self) -> FloatArray:
-        """Origin and direction (k, 3) of the beam of each reading, m, m, rad, in the robot's
-        frame.
-        """
+        """The readings (k, 6) as rows of :mod:`~limslam_agent.kernels.beams`."""
         return self._beams_of(self.readings)
 
     @cached_property
     def look_beams(self) -> FloatArray:
-        """Origin and direction (k, 3) of the beam of each look, m, m, rad, in the robot's frame."""
+        """The looks (k, 6) as such rows."""
         return self._beams_of(self.looks)
 
     @cached_property
@@ -238,8 +257,11 @@ class Problem:
         return np.asarray(np.einsum("ntij,ntj...->nti...", self.roots, errors))
 
     def _beams_of(self, readings: Readings) -> FloatArray:
-        table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
-        return np.asarray(table[readings.beams])
+        beams = readings.beams
+        origins = self.robot.beam_origins[beams]
+        angles = self.robot.beam_angles[beams]
+        cones = np.full(len(beams), self.sensor.cone)
+        return np.column_stack((origins, angles, readings.distances, cones, beams))
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,6 +292,18 @@ class State:
     def flat_poses(self) -> FloatArray:
         """All poses (n t, 3), sorted by robot and then by step."""
         return self.poses.reshape(-1, 3)
+
+    @property
+    def line_rows(self) -> FloatArray:
+        """The lines (m, 5) as rows of :mod:`~limslam_agent.kernels.beams`."""
+        return line_table(self.lines, self.anchors)
+
+    def rays(self, places: IntArray, beams: FloatArray, lengths: FloatArray) -> FloatArray:
+        """Beams on the bodies at these poses (k,), with these lengths, m, as rows (k, 5) of a table
+        of rays.
+        """
+        x, y, heading = compose(self.flat_poses[places], beams[:, :3]).T
+        return np.column_stack((x, y, np.cos(heading), np.sin(heading), lengths))
 
 
 def make_problem(
@@ -452,15 +486,10 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     """What each reading (k,) should be, given its line (k,). Those of readings without a line, -1,
     mean nothing.
     """
-    poses = state.flat_poses[problem.readings.places]
-    beams = problem.beams
-    found = expected_readings(
-        poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone
-    )
-    *_, bias, scale = state.calibration[problem.readings.places // problem.steps].T
+    places = problem.readings.places
+    rows = np.empty((len(labels), 7))
+    predict_readings(state.flat_poses, places, problem.beams, state.line_rows, labels, rows)
+    *_, bias, scale = state.calibration[places // problem.steps].T
     longer = 1.0 + scale
-    return found._replace(
-        ranges=found.ranges * longer + bias,
-        by_pose=found.by_pose * longer[:, None],
-        by_line=found.by_line * longer[:, None],
-    )
+    rows[:, :6] *= longer[:, None]
+    return Expected(rows[:, 0] + bias, rows[:, 1:4], rows[:, 4:6], rows[:, 6])

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.kernels.crossings import choose_lines
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_agent.slam.line_graph.crossings import best_lines
-from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import (
     NEGATIVE,
     POSITIVE,
@@ -33,7 +32,6 @@ from limslam_agent.slam.line_graph.line_smoother import (
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import angle_between, direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
@@ -158,11 +156,9 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines = np.zeros((count, 2))
     anchors = np.zeros((count, 2))
-    origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
-    ends = (
-        origins
-        + problem.true(readings.distances, readings.places, state.calibration)[:, None] * ahead
-    )
+    distances = problem.true(readings.distances, readings.places, state.calibration)
+    rays = state.rays(readings.places, problem.beams, distances)
+    ends = rays[:, :2] + distances[:, None] * rays[:, 2:4]
     for number in np.unique(labels[labels >= known]).tolist():
         points = ends[labels == number]
         lines[number - known, 1], anchors[number - known] = (
@@ -180,19 +176,7 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
 
     A beam with an opening angle meets its line at the nearest point inside of it.
     """
-    used = np.flatnonzero(labels >= 0)
-    poses = state.flat_poses[problem.readings.places[used]]
-    beams = problem.beams[used]
-    own = labels[used]
-    lines = state.lines[own]
-    anchors = state.anchors[own]
-    slants = angle_between(lines[:, 1] - poses[:, 2] - beams[:, 2])
-    beams[:, 2] += np.clip(slants, -problem.sensor.cone, problem.sensor.cone)
-    origins, ahead = rays(poses, beams)
-    ranges = expected_readings(poses, beams, lines, anchors, 0.0).ranges
-    along = np.zeros(len(labels))
-    along[used] = np.sum(direction(lines) * (origins + ranges[:, None] * ahead - anchors), axis=1)
-    return along
+    return np.where(labels >= 0, expected(problem, state, labels).along, 0.0)
 
 
 def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
@@ -224,15 +208,12 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
     ``_BEYOND`` outside.
     """
     readings = problem.readings
-    best, misfits = best_lines(
-        state,
-        readings.places,
-        problem.beams,
-        problem.true(readings.distances, readings.places, state.calibration),
-        ends,
-        _BEYOND,
-        problem.sensor.cone,
-    )
+    distances = problem.true(readings.distances, readings.places, state.calibration)
+    rays = state.rays(readings.places, problem.beams, distances)
+    best = np.empty(len(rays), dtype=np.int64)
+    misfits = np.empty((len(rays), 2))
+    within = ends + np.array([-_BEYOND, _BEYOND])
+    choose_lines(rays, state.line_rows, within, problem.sensor.cone, best, misfits)
     misfits /= np.sqrt(problem.variances(state, expected(problem, state, best)))[:, None]
     is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
     return np.where(is_clear, best, -1), np.where(misfits[:, 0] < _GATE, best, -1)

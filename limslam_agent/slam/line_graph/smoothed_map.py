@@ -8,24 +8,27 @@ from dataclasses import replace
 
 import numpy as np
 
+from limslam_agent.kernels.crossings import count_passes
 from limslam_agent.kernels.tables import BIN, FEWEST, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.crossings import count_crossings
 from limslam_agent.slam.line_graph.problem import Readings, State
 from limslam_agent.slam.line_graph.reassociation import (
     Association,
     places_along,
     solve_again,
 )
-from limslam_env.geometry import FloatArray, IntArray, no_rows
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 
 
 def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
     """Where along each line of a solution beams ended and passed, and how much each of the looks
     (k,) contradicts walls.
+
+    Where more beams passed than ended, those that ended are the contradiction, as where somebody
+    stood for a moment: all that passed there count as much as these.
     """
     problem = found.problem
     state = found.state
@@ -51,13 +54,28 @@ def tally(found: Association) -> tuple[list[WallExtent], FloatArray]:
         problem.true(looks.distances, looks.places, state.calibration),
         looks.distances,
     )
-    misses, through = count_crossings(
-        state, looks.places, problem.look_beams, free, low, hits, margin
-    )
+    rays = state.rays(looks.places, problem.look_beams, free)
+    misses = np.zeros_like(hits)
+    against = np.empty(len(rays))
+    nothing = np.zeros(hits.shape)
+    count_passes(rays, state.line_rows, low, margin, misses, nothing, against)
+    shares = np.where(_is_wall(hits), np.minimum(hits / np.maximum(misses, 1), 1.0), 0.0)
+    count_passes(rays, state.line_rows, low, margin, misses.copy(), shares, against)
     counted = np.stack((hits, misses), axis=1)
     return [
         WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)
-    ], through
+    ], against
+
+
+def _is_wall(hits: IntArray) -> BoolArray:
+    """In which bins (m, b) of lines beams have ended that also ended in one of the two adjacent
+    bins on each side.
+    """
+    is_wall = np.zeros(hits.shape, dtype=bool)
+    before = hits[:, :-4] + hits[:, 1:-3]
+    after = hits[:, 3:-1] + hits[:, 4:]
+    is_wall[:, 2:-2] = (hits[:, 2:-2] > 0) & (before > 0) & (after > 0)
+    return is_wall
 
 
 def lasting(found: Association) -> Association:

@@ -15,7 +15,7 @@ from support.command_line import limslam
 
 from limslam_agent import read_log
 from limslam_agent.cli import warmup as warmup_module
-from limslam_agent.cli.terminal import run_command
+from limslam_agent.terminal import run_command
 from limslam_env import load_world
 
 RUN_FILES = {

@@ -19,7 +19,6 @@ from limslam_agent.cli.settings import (
     Given,
     ReplayOptions,
     RunOptions,
-    robot_named,
     run_config,
     run_options,
 )
@@ -36,6 +35,7 @@ from limslam_agent.config.presets import (
 )
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
+from limslam_agent.robot_file import robot_named
 from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
 from limslam_env.robots import ROBOTS
 from limslam_env.worlds.formats.tables import world_toml
@@ -317,9 +317,7 @@ def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
 
 
 def test_paths_of_a_file_are_relative_to_it(tmp_path):
-    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(
-        ReplayOptions(), ("agent",)
-    )
+    options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(ReplayOptions())
     assert (options.log, str(options.relations)) == (tmp_path / "logs" / "a.clf", "/known")
     assert run_options(given(tmp_path, 'world = "mine.yaml"')).world == str(tmp_path / "mine.yaml")
     assert run_options(given(tmp_path, 'world = "env2"')).world == "env2"

@@ -16,7 +16,6 @@ from support.command_line import limslam
 from support.esp32 import run_sketch
 from support.markdown import ROOT, blocks
 
-from limslam_agent.cli.settings import robot_named
 from limslam_agent.live.firmware import Firmware
 from limslam_agent.live.protocol import (
     LONGEST_LINE,
@@ -38,6 +37,7 @@ from limslam_agent.live.protocol import (
 from limslam_agent.live.transports import LineBuffer
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.robot_file import robot_named
 from limslam_env.robots import e_puck
 
 U32 = st.integers(0, 2**32 - 1)

@@ -25,19 +25,27 @@ NOISE = 0.02
 HERE = np.zeros(3)
 
 
+def two_robots(seed, max_time):
+    return RunConfig(
+        "env2",
+        NOISE,
+        seed=seed,
+        max_time=max_time,
+        until="seen",
+        robots=2,
+        unknown_starts=True,
+    )
+
+
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(
-        RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=115.0)
-    )
+    return run_episode(two_robots(201, 115.0))
 
 
 @pytest.fixture(scope="module")
 def early():
     """A run that ends before the maps overlap."""
-    return run_episode(
-        RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=6.0)
-    )
+    return run_episode(two_robots(201, 6.0))
 
 
 def observations_of(episode, step):
@@ -120,9 +128,7 @@ def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
 
 
 def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
-    met = run_episode(
-        RunConfig("env2", NOISE, seed=9302, robots=2, unknown_starts=True, max_time=52.0)
-    )
+    met = run_episode(two_robots(9302, 52.0))
     assert not met.is_joined
     assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
     assert met.levels[:, 0].max() < LEVELS.index("lost")

@@ -60,9 +60,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def episode(folder):
-    return run_episode(
-        RunConfig("env3", NOISE, seed=130, prior_map=folder, max_time=60.0, until="seen")
-    )
+    return run_episode(RunConfig("env3", NOISE, seed=130, map=folder, max_time=60.0, until="seen"))
 
 
 def test_a_map_is_read_as_it_was_written(folder):
@@ -104,7 +102,7 @@ def test_another_building_does_not_fit(folder):
             "env2",
             NOISE,
             seed=130,
-            prior_map=folder,
+            map=folder,
             max_time=30.0,
             until="seen",
             settings=settings,
@@ -137,7 +135,7 @@ def test_a_team_cannot_begin_in_a_map(folder):
     with pytest.raises(ValueError, match="only one robot"):
         Mapper(RobotSpec(), None, np.zeros((2, 3)), prior_map=read_saved_map(folder))
     with pytest.raises(ValueError, match="earlier run is for one robot"):
-        RunConfig("env3", robots=2, prior_map=folder)
+        RunConfig("env3", robots=2, map=folder)
 
 
 def damage(name, content):

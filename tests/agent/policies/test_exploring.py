@@ -126,7 +126,7 @@ def test_narrow_corridors_are_explored_to_their_end(width: float) -> None:
 def test_a_robot_that_cannot_see_frontiers_follows_walls_and_does_not_call_the_world_explored():
     robot = e_puck()
     assert robot.reach < least_reach(robot, 0.1) < e_puck(max_range=0.15).reach
-    episode = run_episode(RunConfig("env1", policy="frontier", robot=robot, max_time=60.0))
+    episode = run_episode(RunConfig("env1", 0.0, robot=robot, max_time=60.0, until="seen"))
     assert episode.time[-1] == pytest.approx(60.0), "it went on after its first look"
     # As shipped, it had seen 0.1 % when it called the world explored.
     assert episode.coverage[-1] > 0.02
@@ -136,7 +136,7 @@ def test_a_robot_that_cannot_see_frontiers_follows_walls_and_does_not_call_the_w
 def test_the_end_of_a_robot_that_cannot_see_frontiers_is_no_exploration():
     walls = [[0, 0, 0.6, 0], [0.6, 0, 0.6, 0.6], [0.6, 0.6, 0, 0.6], [0, 0.6, 0, 0]]
     box = World("box", (0.6, 0.6), np.array(walls), starts=np.array([[0.3, 0.3, 0.0]]))
-    config = RunConfig(box, robot=e_puck(), max_time=400.0)
+    config = RunConfig(box, 0.0, robot=e_puck(), max_time=400.0, until="seen")
     assert [warning.split(":")[0] for warning in config.warnings] == [
         "the beams reach 0.095 m, where frontier exploration needs at least 0.175 m"
     ]

@@ -27,7 +27,7 @@ ROOM = World("room", (4.0, 3.0), WALLS, starts=[[1.0, 0.8, 0.4], [3.0, 1.0, 2.0]
 
 def run(policy, **settings):
     return run_episode(
-        RunConfig(ROOM, policy=policy, **{"noise": 0.02, "max_time": 120.0, **settings})
+        RunConfig(ROOM, policy=policy, **{"max_time": 120.0, "until": "seen", **settings})
     )
 
 
@@ -89,6 +89,8 @@ INSIDE = {"starts": np.array([[0.7, 0.7, 0.0]])}
 def test_a_small_region_is_not_called_the_world(walls, more, words):
     config = RunConfig(
         World("hall", (6.0, 4.0), np.array(walls + CORNER, dtype=float), **more),
+        0.0,
+        until="seen",
         seed=1,
         max_time=200.0,
     )
@@ -103,7 +105,11 @@ def test_a_small_region_is_not_called_the_world(walls, more, words):
 
 def test_a_whole_world_is_called_explored():
     config = RunConfig(
-        World("room", (6.0, 4.0), np.array(CLOSED, dtype=float)), seed=1, max_time=400.0
+        World("room", (6.0, 4.0), np.array(CLOSED, dtype=float)),
+        0.0,
+        seed=1,
+        max_time=400.0,
+        until="seen",
     )
     assert config.warnings == []
     episode = run_episode(config)
@@ -115,7 +121,14 @@ def test_a_whole_world_is_called_explored():
 def test_ten_minutes_in_one_building_end_as_they_began():
     settings = replace(preset("graph", NominalNoise(0.02)), renewal=RenewalConfig(period=120.0))
     run = RunConfig(
-        "env3", 0.02, seed=100, policy="tour", laps=100, max_time=600.0, settings=settings
+        "env3",
+        0.02,
+        seed=100,
+        policy="tour",
+        laps=100,
+        max_time=600.0,
+        until="seen",
+        settings=settings,
     )
     landmarks = []
     episode = run_episode(run, lambda team, *_: landmarks.append(len(team.slam.all_landmarks)))

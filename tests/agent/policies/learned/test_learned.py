@@ -226,11 +226,11 @@ def test_it_explores_a_room(policy):
         starts=[[1.0, 0.8, 0.4]],
     )
     episode = run_episode(
-        RunConfig(room, noise=0.02, policy=policy, max_time=60.0, preset="odometry")
+        RunConfig(room, noise=0.02, policy=policy, max_time=60.0, preset="odometry", until="seen")
     )
     assert episode.coverage[-1] > 0.95
     assert episode.is_finished
-    again = run_episode(RunConfig(room, noise=0.02, policy=policy, max_time=5.0, preset="odometry"))
+    again = run_episode(replace(episode.config, max_time=5.0))
     np.testing.assert_array_equal(again.actions, episode.actions[: len(again.actions)])
 
 

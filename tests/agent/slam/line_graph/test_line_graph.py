@@ -21,14 +21,10 @@ from support.smoother_runs import (
 )
 
 from limslam_agent.config.smoother import SmootherConfig
-from limslam_agent.kernels.measurement import read_share
+from limslam_agent.kernels.beams import read_share
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.factors import (
-    expected_readings,
-    motion_jacobians,
-    motions_between,
-)
+from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.line_merging import (
     ELSEWHERE,
     LEAST_SHARE,
@@ -45,7 +41,7 @@ from limslam_agent.slam.line_graph.line_merging import (
     merge_lines,
     wall_kinds,
 )
-from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
+from limslam_agent.slam.line_graph.line_smoother import solve
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
@@ -92,28 +88,6 @@ def test_derivatives_of_motions_are_differences(turn):
         assert found[:, column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
-@pytest.mark.parametrize("width", [0.0, 0.03, 1.2])
-def test_derivatives_of_readings_are_differences(width):
-    pose = np.array([0.3, 0.2, 0.4])
-    line = np.array([0.1, 0.9])
-    anchor = np.array([1.0, 1.1])
-    beam = np.array([0.05, 0.08, 0.6])
-
-    def expected_at(pose, line):
-        return expected_readings(pose[None], beam[None], line[None], anchor[None], width)
-
-    found = expected_at(pose, line)
-    derivatives = np.append(found.by_pose[0], found.by_line[0])
-    for column in range(5):
-        change = np.zeros(5)
-        change[column] = 1e-6
-        ends = [
-            expected_at(pose + sign * change[:3], line + sign * change[3:]).ranges[0]
-            for sign in (1.0, -1.0)
-        ]
-        assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
-
-
 def test_derivatives_by_bias_and_scale_are_differences():
     problem, poses = noisy_run(4)
     state = state_from_motions(problem)
@@ -152,6 +126,7 @@ def test_covariances_are_those_of_a_dense_solution():
     steps = problem.steps
     count = len(state.lines)
     jacobians = motion_jacobians(state.poses[0], ROBOT.axle)
+    wanted = expected(problem, state, labels)
     whole = np.zeros((3 * steps + 2 * count, 3 * steps + 2 * count))
     for step in range(steps - 1):
         own = slice(3 * step, 3 * step + 6)
@@ -161,7 +136,7 @@ def test_covariances_are_those_of_a_dense_solution():
         place = 3 * problem.readings.places[k]
         line = 3 * steps + 2 * labels[k]
         columns = np.r_[place : place + 3, line : line + 2]
-        row = numbered_row(problem, state, labels[k], k)
+        row = np.append(wanted.by_pose[k], wanted.by_line[k])
         whole[np.ix_(columns, columns)] += np.outer(row, row) / problem.range_std**2
     dense = np.linalg.inv(whole[3:, 3:])
     for step in (1, steps // 2, steps - 1):
@@ -170,20 +145,11 @@ def test_covariances_are_those_of_a_dense_solution():
     # The joint covariance of the last pose and the lines, from which a renewal goes on.
     unknowns = solution.unknowns
     columns = np.append(
-        pose_columns(unknowns.ends[-1:]), np.arange(unknowns.first_line, unknowns.size)
+        unknowns.nodes.columns("poses")[unknowns.ends[-1]], unknowns.nodes.columns("lines")
     )
     rows = np.searchsorted(unknowns.kept, columns)
     joint = solution.covariance[np.ix_(rows, rows)]
     assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
-
-
-def numbered_row(problem, state, line, k):
-    """Derivatives (5,) of one reading by its pose and its line."""
-    pose = state.poses[0, problem.readings.places[k]]
-    found = expected_readings(
-        pose[None], problem.beams[[k]], state.lines[[line]], state.anchors[[line]], 0.0
-    )
-    return np.append(found.by_pose[0], found.by_line[0])
 
 
 def test_errors_are_as_large_as_the_covariances_say():
