@@ -91,7 +91,10 @@ AGENT = {
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
-    "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
+    "limslam_agent.slam.published": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "kernels", "slam.core"),
+    },
     "limslam_agent.slam.consistent": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "kernels", "slam.core"),
