@@ -13,7 +13,7 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.readings import unsteadiness
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import DELAY
-from limslam_agent.slam.core.contact import LONGEST, Contacts
+from limslam_agent.slam.core.contact import LONGEST, Contacts, slip_covariance, slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_by, ticks_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead, behind, held_back
 from limslam_agent.slam.core.motion import (
@@ -300,6 +300,21 @@ def test_beams_to_the_sides_and_beams_that_cannot_measure_near_the_body_show_no_
         (Contacts(blind, STD), 0.1, RIGHT_OF_FRONT),
     ):
         assert sum(variance_of(contacts, 0.02, near, beam) for _ in range(10)) < 1e-12
+
+
+def test_the_smoother_allows_the_same_slip() -> None:
+    ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
+    wheels = np.full((1, len(ranges) - 1, 2), 0.02)
+    slips = slip_covariances(ROBOT, STD, wheels, ranges, np.ones(ranges.shape, dtype=bool))[0]
+    contacts = Contacts(ROBOT, STD)
+    total = np.zeros((3, 3))
+    contacts.slip(0.0, ranges[0, 0], ALL)
+    for row in ranges[1:, 0]:
+        total += slip_covariance(*contacts.slip(0.02, row, ALL))
+    assert np.flatnonzero(slips[:, 0, 0]).tolist() == list(range(9, len(ranges) - 1))
+    # The mean of the wheels is the motion ahead.
+    ahead = np.array([0.5, 0.5, 0.0])
+    assert ahead @ slips.sum(axis=0) @ ahead == pytest.approx(total[0, 0])
 
 
 def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
