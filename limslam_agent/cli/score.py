@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import takes
 from limslam_agent.config.help import Help
-from limslam_agent.terminal import say, warn
+from limslam_agent.terminal import say, takes, warn
 
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec

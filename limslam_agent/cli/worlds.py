@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit, takes
+from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit
 from limslam_agent.cli.settings import layer_names
-from limslam_agent.terminal import print_table, say, warn
+from limslam_agent.terminal import print_table, say, takes, warn
 
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World

@@ -23,7 +23,8 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.slam.line_graph.run import FilteredRun, SmoothedRun
+from limslam_agent.slam.line_graph.smoother import smooth_run
 from limslam_agent.slam.map_graph.chunk_graph import KEPT
 from limslam_agent.slam.map_graph.key_poses import LogData, odometry_trajectory
 from limslam_agent.slam.map_graph.point_links import PointCloud, point_cloud
@@ -58,9 +59,7 @@ def smoothed_by_graph(
     recorded = log_data(log, replay.odometry, replay.config.range_std)
     data = with_reversing(recorded, config)
     found, signals = trusted_path(data, log.start_pose, config, report)
-    landmarks = draw_walls(
-        point_cloud(found.keys, found.trajectory, data.range_std), data.range_std
-    )
+    landmarks = draw_walls(point_cloud(found.keys, found.trajectory), data.range_std)
     smoothed = Smoothed(
         found.poses,
         {**_figures(found), **_reversing(recorded, data), **signals.figures},
@@ -89,17 +88,17 @@ def trusted_path(
     As long as it is doubtful, there are more rounds, and the path is taken that is off least
     likely, which may be that of odometry.
     """
-    known = (data.time - data.time[0], config, (data.max_range, data.range_std))
+    since = data.time - data.time[0]
     found = []
     for path in islice(rounds(data, start, config, report), 1 + _MORE_ROUNDS):
-        found.append((path, path_signals(path, *known)))
+        found.append((path, path_signals(path, since)))
         if found[-1][1].status.level == "ok":
             return found[-1]
     blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
     keys = found[0][0].keys
     path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
-    covariance = path_signals(blind, *known).covariance
-    found.append((path, replace(path_signals(path, *known), covariance=covariance)))
+    covariance = path_signals(blind, since).covariance
+    found.append((path, replace(path_signals(path, since), covariance=covariance)))
     return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 
 
@@ -201,7 +200,7 @@ def smoothed_by_lines(
         status = places.doubt
     smoothed = Smoothed(
         found.poses[:, 0],
-        _line_figures(found, has_heading=run.has_headings),
+        _line_figures(found, has_heading=run.headings is not None),
         time.process_time() - begin,
         run.synchronous.until(placed),
         covariances=found.covariances[:, 0],
