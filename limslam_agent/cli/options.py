@@ -8,10 +8,10 @@ given is None, so that the file can set it. Help shows the default of the field.
 
 import functools
 import inspect
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar, get_args, get_type_hints
 
 import typer
 
@@ -31,6 +31,9 @@ from limslam_agent.runs.run_spec import (
     Time,
     Until,
 )
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _LOG = "Log"
 _TABLE = "Tables (.csv)"
@@ -317,9 +320,10 @@ class LiveOptions(Bounded):
 
 
 Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
+T = TypeVar("T", bound="DataclassInstance")
 
 
-def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
     """Make a function a command that has the options of a dataclass, if one is given, and then
     those of its own named arguments.
 
@@ -327,16 +331,18 @@ def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., None]], Call
     not given.
     """
 
-    def decorated(function: Callable[..., None]) -> Callable[..., None]:
+    def decorated(function: Callable[..., Any]) -> Callable[..., Any]:
         own = [
-            each.replace(annotation=_with_option(each.name, each.annotation))
+            each.replace(
+                kind=each.KEYWORD_ONLY, annotation=_with_option(each.name, each.annotation)
+            )
             for each in inspect.signature(function).parameters.values()
             if each.kind is not each.VAR_KEYWORD
         ]
 
         @functools.wraps(function)
-        def command(**arguments: Any) -> None:
-            function(**arguments)
+        def command(**arguments: Any) -> Any:
+            return function(**arguments)
 
         parameters = own if kind is None else [*_declared(kind), *own]
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what typer looks at
@@ -344,6 +350,20 @@ def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., None]], Call
         return command
 
     return decorated
+
+
+def with_told(options: T, told: Mapping[str, Any]) -> T:
+    """Options with those that were given in place of their own. An error names the option."""
+    for name, value in told.items():
+        if value is None:
+            continue
+        changed: dict[str, Any] = {name: value}
+        try:
+            options = replace(options, **changed)
+        except ValueError as error:
+            words = str(error).removeprefix(name)
+            raise ValueError(f"--{name.replace('_', '-')}{words}") from error
+    return options
 
 
 def _declared(kind: type[Any]) -> list[inspect.Parameter]:
@@ -354,9 +374,7 @@ def _declared(kind: type[Any]) -> list[inspect.Parameter]:
         for field in fields(kind)
     }
     return [
-        inspect.Parameter(
-            name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=hint
-        )
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=hint)
         for name, hint in options.items()
         if any(isinstance(each, typer.models.OptionInfo) for each in get_args(hint))
     ]

@@ -10,7 +10,7 @@ from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
-from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions
+from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions, with_told
 from limslam_agent.config.tables import (
     SettingsError,
     Table,
@@ -77,16 +77,15 @@ class Given:
             )
         in_file = {name: value for name, value in self.table.items() if name not in defaults.tables}
         merged = updated(defaults, in_file, str(self.path))
-        for name, value in vars(merged).items():
-            if isinstance(value, Path):
-                merged = _with(merged, name, self.beside_file(value))
-        for name in self.options.keys() & known:
-            try:
-                merged = _with(merged, name, self.options[name])
-            except ValueError as error:
-                words = str(error).removeprefix(name)
-                raise SettingsError(f"--{name.replace('_', '-')}{words}") from error
-        return merged
+        paths = {
+            name: self.beside_file(value)
+            for name, value in vars(merged).items()
+            if isinstance(value, Path)
+        }
+        merged = with_told(merged, paths)
+        return with_told(
+            merged, {name: value for name, value in self.options.items() if name in known}
+        )
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""
@@ -188,12 +187,6 @@ class Given:
             raise SettingsError(f"{self.path}: {name}: {error}") from error
 
 
-def _with(options: Options, name: str, value: Any) -> Options:
-    """The options with another value of one of them."""
-    changed: dict[str, Any] = {name: value}
-    return replace(options, **changed)
-
-
 def _wheel_variance(std: float) -> float:
     """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says."""
     if not 0.0 <= std <= _MAX_WHEEL_STD:
@@ -211,7 +204,7 @@ def run_options(given: Given) -> RunOptions:
         # The size of a random plan may have a decimal point.
         is_file = re.search(rf"{ends}$", value) and not value.startswith("random:")
         if name not in given.options and name in given.table and is_file:
-            options = _with(options, name, str(given.beside_file(Path(value))))
+            options = with_told(options, {name: str(given.beside_file(Path(value)))})
     return replace(options, ablation=None) if options.ablation == "none" else options
 
 
