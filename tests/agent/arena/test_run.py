@@ -52,8 +52,8 @@ class Mine:
 ONE = Execution()
 
 
-def run_all(entry, plans, folder, seed=0, **options):
-    return run_entry(entry, plans, folder, seed, Execution(**options))
+def run_all(entry, plans, folder, seed=0, report=lambda *_: None, **options):
+    return run_entry(entry, plans, folder, seed, Execution(**options), report)
 
 
 def verified(folder, entry, plans):
@@ -279,7 +279,7 @@ def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
     ("words", "reason"),
     [
         (("run", "nowhere", "--out", "out"), "there is no such folder"),
-        (("run", "entry", "--out", "out", "--plans", "500"), "Invalid value for '--plans'"),
+        (("run", "entry", "--out", "out", "--plans", "500"), "--plans must be a whole number"),
         (
             ("run", "entry", "--out", "out", "--secret-seed"),
             "a whole number of 0 or more from standard input",
