@@ -163,7 +163,10 @@ FAULTS = {
     "offset": FaultKind(0.03, _of_walls(lambda fault, ranges: ranges + fault.size)),
     "scale": FaultKind(0.03, _of_walls(lambda fault, ranges: ranges * (1.0 + fault.size))),
     "repeats": FaultKind(5.0, _held),
-    "lost wheels": FaultKind(20.0, wheels=lambda fault, wheels: wheels * (not fault.is_drawn)),
+    "lost wheels": FaultKind(
+        20.0,
+        wheels=lambda fault, wheels: np.zeros_like(wheels) if fault.is_drawn else wheels,
+    ),
     "lost reports": FaultKind(20.0, arrives=lambda fault: not fault.is_drawn, is_recorded=True),
     "gaps": FaultKind(2.0, arrives=lambda fault: not fault.is_in_gap, is_recorded=True),
     "person": FaultKind(0.2, _with_person, is_recorded=True),

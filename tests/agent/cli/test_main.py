@@ -64,43 +64,13 @@ def test_a_run_writes_its_whole_folder_and_nothing_beside_it(short_run):
     assert [path.name for path in short_run.parent.iterdir()] == ["short"]
 
 
-def test_result_has_the_promised_parts_and_metrics(short_run):
+def test_the_result_of_a_run_that_was_too_short_says_so(short_run):
     result = json.loads((short_run / "result.json").read_text())
     assert {"metrics", "cost", "config", "versions", "seed"} <= set(result)
-    promised = {
-        "ate_m",
-        "ate_aligned_m",
-        "heading_rmse_deg",
-        "final_error_m",
-        "rpe_m_per_m",
-        "anees",
-        "nees_in_95",
-        "wall_recall",
-        "wall_precision",
-        "wall_f1",
-        "wall_f1_5cm",
-        "wall_f1_aligned",
-        "spurious_walls",
-        "spurious_m",
-        "duplicate_m",
-        "doors_open",
-        "coverage_true",
-        "coverage_claimed",
-        "coverage_correct",
-        "time_to_50_s",
-        "time_to_90_s",
-        "time_to_95_s",
-        "exploration_time_s",
-        "path_m",
-        "collisions",
-        "stop_reason",
-    }
-    assert promised <= set(result["metrics"])
     assert {"slam_ms_median", "slam_ms_p99", "speed_x_real_time", "peak_rss_mb"} <= set(
         result["cost"]
     )
     assert result["seed"] == 300
-    # Twelve seconds are not enough, and the run says so.
     assert result["metrics"]["stop_reason"].startswith("time")
     assert result["metrics"]["exploration_time_s"] is None
 
@@ -161,17 +131,6 @@ def test_force_never_replaces_what_is_no_run(tmp_path):
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 
 
-def test_laps_drive_round_the_square(tmp_path):
-    result = limslam(
-        "run", "--world", "square", "--laps", "1", "--noise", "0", "--out", tmp_path / "lap"
-    )
-    assert result.returncode == 0, result.stderr
-    metrics = json.loads((tmp_path / "lap" / "result.json").read_text())["metrics"]
-    assert metrics["stop_reason"] == "all laps driven"
-    assert 18.0 < metrics["path_m"] < 22.0  # a lap is 20 m
-    assert metrics["exploration_time_s"] is None
-
-
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -201,6 +160,10 @@ def test_laps_drive_round_the_square(tmp_path):
         (
             ("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"),
             "--odometry-bias and --calibrate",
+        ),
+        (
+            ("replay", "{log}", "--calibrate", "{log}", "--relations", "{log}"),
+            "relations that calibrate do not score",
         ),
         (("replay", "{log}", "--topics", "/odom"), "is not a ROS bag"),
         (
@@ -312,22 +275,6 @@ def test_relations_of_another_log_are_refused(carmen_log, tmp_path, later, words
     assert_refused(result, f"{words} relations lie in the log's time: are they of another log?")
 
 
-def test_a_calibration_leaves_something_to_score(carmen_log, tmp_path):
-    relations = known_motions(tmp_path / "known.relations", 7, 0.525)
-    result = limslam(
-        "replay",
-        carmen_log,
-        "--calibrate",
-        relations,
-        "--relations",
-        relations,
-        "--out",
-        tmp_path / "no",
-    )
-    assert_refused(result, "relations that calibrate do not score")
-    assert not (tmp_path / "no").exists()
-
-
 def test_a_table_and_a_bag_are_replayed_like_any_log(tmp_path):
     places = [0.05 * step for step in range(80)]
     table = tmp_path / "corridor.csv"
@@ -405,22 +352,16 @@ def test_ctrl_c_says_that_the_command_was_stopped(monkeypatch):
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "limslam: stopped\n")
 
 
-SCRIPT = Path(sys.executable).with_name("limslam")
-
-
-@pytest.mark.parametrize(
-    "command", [[SCRIPT], [sys.executable, "-m", "limslam_agent"]], ids=["script", "module"]
-)
-def test_a_bad_argument_ends_the_command_with_2_and_one_line(command, tmp_path):
+def test_a_bad_argument_ends_the_script_with_2_and_one_line(tmp_path):
     result = subprocess.run(
-        [*command, "run", "--noise", "-1"],
+        [Path(sys.executable).with_name("limslam"), "run", "--noise", "-1"],
         capture_output=True,
         text=True,
         check=False,
         cwd=tmp_path,
     )
-    assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
-    assert result.stderr.startswith("limslam: ")
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr == "limslam: --noise must be a number from 0 to 1000, not -1.0\n"
     assert list(tmp_path.iterdir()) == []
 
 

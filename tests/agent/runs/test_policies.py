@@ -248,6 +248,7 @@ def test_the_command_writes_both_metrics(tmp_path):
     result = limslam("run", *drive, "--limit", "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     metrics = json.loads((tmp_path / "run" / "result.json").read_text())["metrics"]
+    assert metrics["exploration_time_s"] is None
     assert 0.0 < metrics["limit_ate_m"] < 0.1
     assert metrics["ate_over_limit"] == pytest.approx(metrics["ate_m"] / metrics["limit_ate_m"])
     assert f"limit       {metrics['limit_ate_m']:.3f} m rms" in result.stdout

@@ -441,6 +441,6 @@ def test_few_readings_are_left_in_a_metre(ring):
     left = thinned(hit, moves, 40.0)
     assert left.sum() / driven == pytest.approx(40.0, rel=0.1)
     assert not (left & ~hit).any()
-    sensors = [sparse_sensor(seed) for seed in range(32)]
+    sensors = [sparse_sensor(seed, 5.0, 40.0) for seed in range(32)]
     assert {len(beams) for beams, _ in sensors} == {4, 6, 8, 11}
     assert all(5.0 <= points <= 40.0 for _, points in sensors)
