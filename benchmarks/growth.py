@@ -16,8 +16,8 @@ import numpy as np
 from limslam_agent import AgentConfig, Mapper
 from limslam_agent.output.summary import peak_memory
 from limslam_agent.runs.policies import Tour
-from limslam_agent.slam.graph.key_poses import LogData
-from limslam_agent.slam.online_graph.online_graph import OnlineGraph
+from limslam_agent.slam.map_graph.key_poses import LogData
+from limslam_agent.slam.map_graph.online import OnlineGraph
 from limslam_env import LimSlamEnv, RobotSpec, load_world
 from limslam_env.bounds import loop_tour
 from limslam_env.geometry import FloatArray, se2

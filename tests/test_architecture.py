@@ -101,26 +101,23 @@ AGENT = {
         *env("compilation"),
         *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
-    "limslam_agent.slam.least_squares": {GEOMETRY, *env("compilation")},
+    "limslam_agent.slam.graph": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.line_graph": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("compilation"),
-        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
+        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.graph"),
     },
-    "limslam_agent.slam.graph": {
+    "limslam_agent.slam.map_graph": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("compilation"),
-        *agent("config", "kernels", "slam.least_squares"),
-    },
-    "limslam_agent.slam.online_graph": {
-        *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.graph", "slam.least_squares"),
+        *agent("config", "kernels", "slam.graph"),
     },
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
+    "limslam_agent.record": WHAT_AN_AGENT_MAY_KNOW,
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("dropouts", "config", "grid", "kernels", "slam.core"),
+        *agent("dropouts", "config", "grid", "kernels", "record", "slam.core"),
     },
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
@@ -133,6 +130,7 @@ AGENT = {
             "grid",
             "kernels",
             "status",
+            "record",
             "map_file",
             "safe_files",
         ),
@@ -148,7 +146,7 @@ AGENT = {
     },
     "limslam_agent.mapping": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "grid", "places", "policies", "status"),
+        *agent("belief", "config", "grid", "places", "policies", "record", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
@@ -171,30 +169,30 @@ AGENT = {
         *agent(
             "config",
             "slam.core",
-            "slam.graph",
             "slam.line_graph",
+            "slam.map_graph",
             "grid",
             "logs",
             "mapping",
             "output",
             "places",
         ),
-        *agent("slam.online_graph", "status"),
+        *agent("status"),
     },
     "limslam_agent.two_logs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
             "config",
             "slam.core",
-            "slam.graph",
             "slam.line_graph",
+            "slam.map_graph",
             "grid",
             "kernels",
             "logs",
             "output",
             "places",
         ),
-        *agent("replay", "status"),
+        *agent("record", "replay", "status"),
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -254,8 +252,8 @@ COMPILED = {
     "limslam_agent.kernels",
     "limslam_agent.slam.batch",
     "limslam_agent.slam.graph",
-    "limslam_agent.slam.least_squares",
     "limslam_agent.slam.line_graph",
+    "limslam_agent.slam.map_graph",
 }
 SEEDED = {
     "default_rng",
@@ -484,7 +482,6 @@ def test_importing_the_agent_loads_no_simulator():
         "limslam_agent.slam.consistent.merging",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.two_logs"],
-        *PLACES["limslam_agent.slam.online_graph"],
     ]
     replay = ("smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]

@@ -23,8 +23,8 @@ from limslam_agent.logs.pose_log import MIN_RANGE, nearest_beams
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.replay.smoothing import trusted_path
-from limslam_agent.slam.graph.key_poses import LogData, integrate
-from limslam_agent.slam.graph.reversing import with_reversing
+from limslam_agent.slam.map_graph.key_poses import LogData, integrate
+from limslam_agent.slam.map_graph.reversing import with_reversing
 from limslam_env.bounds import Roadmap, Speeds, poses_along
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec

@@ -91,7 +91,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     table.
     """
     from limslam_agent.places.saved_map import read_saved_map
-    from limslam_agent.replay.plausibility import map_warnings
+    from limslam_agent.replay.checks import map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
 
     if options.log is None:
@@ -162,8 +162,8 @@ def _carry_out_both(
 def _describe(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
     """Print how a log was read, its first rows, and the warnings about it."""
     from limslam_agent.logs.description import description
+    from limslam_agent.replay.checks import log_warnings
     from limslam_agent.replay.misreading import misread
-    from limslam_agent.replay.plausibility import log_warnings
 
     say(f"log         {path}", *description(log))
     warn(log_warnings(log, misread(log, options.metres_per_tick)))
@@ -171,8 +171,8 @@ def _describe(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
 
 def _check_reading(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
     """Warn of what is unlikely about a log. Refuse it if it was certainly read in a wrong way."""
+    from limslam_agent.replay.checks import log_warnings
     from limslam_agent.replay.misreading import misread
-    from limslam_agent.replay.plausibility import log_warnings
 
     misreading = misread(log, options.metres_per_tick)
     if misreading is not None and misreading.is_certain and not options.as_read:

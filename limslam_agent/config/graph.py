@@ -1,7 +1,7 @@
 """Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all
 logs; m and rad.
 
-Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.graph`).
+Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.map_graph`).
 """
 
 import math

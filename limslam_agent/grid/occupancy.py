@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
+from limslam_agent.kernels.tables import Cells
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.numbers import check_poses
 from limslam_env.geometry.se2 import compose, inverse
@@ -86,14 +87,13 @@ class OccupancyGrid:
     """
 
     def __init__(self, config: GridConfig) -> None:
-        self._config = config
-        # Cells are counted from the world's origin. The known cells lie between the two corners.
-        self._low = self._known_low = self._known_high = np.zeros(2, dtype=np.int64)
-        self._values = np.zeros((0, 0), dtype=np.int16)
-        self._rules = np.array([config.seen_through, config.hit, config.limit])
-        # Each cell has the number of the update that has changed it last.
-        self._stamps = np.zeros((0, 0), dtype=np.int32)
-        self._stamp = 0
+        origin = np.zeros(2, dtype=np.int64)
+        rules = np.array([config.seen_through, config.hit, config.limit])
+        nothing = np.zeros((0, 0), dtype=np.int16)
+        self._cells = Cells(nothing, nothing.astype(np.int32), origin, float(config.cell), rules)
+        # The known cells lie between the two corners.
+        self._known_low = self._known_high = origin
+        self._stamp = 0  # number of the latest update
 
     @classmethod
     def of(cls, view: GridView, config: GridConfig) -> "OccupancyGrid":
@@ -110,10 +110,10 @@ class OccupancyGrid:
                 f"{config.cell:g} m"
             )
         grid = cls(config)
-        grid._low = grid._known_low = np.rint(view.low / config.cell).astype(np.int64)
-        grid._known_high = grid._low + np.array(view.values.shape[::-1])
-        grid._values = np.array(view.values, dtype=np.int16)
-        grid._stamps = np.zeros_like(grid._values, dtype=np.int32)
+        corner = np.rint(view.low / config.cell).astype(np.int64)
+        grid._hold(np.array(view.values, dtype=np.int16), corner)
+        grid._known_low = corner
+        grid._known_high = corner + np.array(view.values.shape[::-1])
         return grid
 
     def copied(self) -> "OccupancyGrid":
@@ -123,14 +123,11 @@ class OccupancyGrid:
     @property
     def view(self) -> GridView:
         """The part of the grid in which cells are known."""
-        (left, bottom), (right, top) = self._known_low - self._low, self._known_high - self._low
-        values = self._values[bottom:top, left:right]
+        corner, size = self._cells.corner, self._cells.size
+        (left, bottom), (right, top) = self._known_low - corner, self._known_high - corner
+        values = self._cells.values[bottom:top, left:right]
         values.setflags(write=False)
-        return GridView(
-            np.asarray(self._known_low * self._config.cell, dtype=np.float64),
-            self._config.cell,
-            values,
-        )
+        return GridView(np.asarray(self._known_low * size, dtype=np.float64), size, values)
 
     def update(
         self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray
@@ -148,26 +145,11 @@ class OccupancyGrid:
         from limslam_agent.kernels.cells import update_grid
 
         check_poses("the robot's pose", pose)
-        touched = np.empty((2, 2), dtype=np.int64)
-        while True:
-            self._stamp += 1
-            is_done = update_grid(
-                pose,
-                np.asarray(ranges, dtype=float),
-                usable,
-                robot.beam_table,
-                robot.radius,
-                self._config.cell,
-                self._values,
-                self._low,
-                self._rules,
-                self._stamps,
-                self._stamp,
-                touched,
-            )
-            low, high = touched
-            if is_done:
-                break
+        ranges = np.asarray(ranges, dtype=float)
+        body = robot.beam_table, robot.radius
+        low, high = touched = np.empty((2, 2), dtype=np.int64)
+        self._stamp += 1
+        while not update_grid(pose, ranges, usable, body, self._cells, self._stamp, touched):
             self._grow(low, high)
         self._know(low, high)
 
@@ -184,33 +166,28 @@ class OccupancyGrid:
             without_dropouts(robot, ranges[:, number], measured[:, number])
             for number in range(ranges.shape[1])
         ]
-        for row in range(len(poses)):
-            for number, pose in enumerate(poses[row]):
-                self.update(pose, robot, ranges[row, number], drawn[number][row])
+        for row, number in np.ndindex(poses.shape[:2]):
+            self.update(poses[row, number], robot, ranges[row, number], drawn[number][row])
 
     def bend(self, anchors: FloatArray, motions: FloatArray) -> None:
         """Move each cell with what lies around the nearest of some points (m, 2), by the rigid
         motions (m, 3) there.
         """
         view = self.view
-        cell = self._config.cell
         before = np.column_stack((anchors, np.zeros(len(anchors))))
-        known = (
-            _moved_with_nearest(view.centres(np.argwhere(~view.unknown)), before, before + motions)
-            / cell
-        )
+        centres = view.centres(np.argwhere(~view.unknown))
+        known = _moved_with_nearest(centres, before, before + motions) / view.cell
         # A cell at the border may leave the grid.
         reached = np.concatenate((known, [self._known_low, self._known_high]))
         low: IntArray = np.floor(reached.min(axis=0)).astype(np.int64)
         high: IntArray = np.ceil(reached.max(axis=0)).astype(np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
         places = np.column_stack((columns.ravel(), rows.ravel()))
-        values = view.values_at(
-            _moved_with_nearest((places + 0.5) * cell, before + motions, before)
-        )
+        points = _moved_with_nearest((places + 0.5) * view.cell, before + motions, before)
+        values = view.values_at(points)
         self._grow(low, high)
-        column, row = (places - self._low).T
-        self._values[row, column] = values
+        column, row = (places - self._cells.corner).T
+        self._cells.values[row, column] = values
         self._know(low, high)
 
     def _know(self, low: IntArray, high: IntArray) -> None:
@@ -223,23 +200,25 @@ class OccupancyGrid:
         """Extend the grid to cells from ``low`` to before ``high`` (2,), with a margin, so that it
         seldom grows.
         """
-        rows, columns = self._values.shape
-        end = self._low + np.array([columns, rows])
-        old_low, old_high = (self._low, end) if rows else (low, high)
+        before = self._cells
+        rows, columns = before.values.shape
+        end = before.corner + np.array([columns, rows])
+        old_low, old_high = (before.corner, end) if rows else (low, high)
         new_low = np.where(low < old_low, low - _SPARE_CELLS, old_low)
         new_high = np.where(high > old_high, high + _SPARE_CELLS, old_high)
-        columns_new, rows_new = new_high - new_low
-        if max(columns_new, rows_new) > _MAX_CELLS:
+        if (new_high - new_low).max() > _MAX_CELLS:
             raise ValueError(
-                f"the map has grown past {_MAX_CELLS * self._config.cell:g} m: the robot's pose "
-                "is lost"
+                f"the map has grown past {_MAX_CELLS * before.size:g} m: the robot's pose is lost"
             )
-        grown = np.zeros((rows_new, columns_new), dtype=np.int16)
+        grown = np.zeros((new_high - new_low)[::-1], dtype=np.int16)
         column, row = old_low - new_low
-        grown[row : row + rows, column : column + columns] = self._values
-        self._low = new_low
-        self._values = grown
-        self._stamps = np.zeros_like(grown, dtype=np.int32)
+        grown[row : row + rows, column : column + columns] = before.values
+        self._hold(grown, new_low)
+
+    def _hold(self, values: NDArray[np.int16], corner: IntArray) -> None:
+        """Hold other cells (rows, columns), from a column and row (2,) on."""
+        stamps = np.zeros(values.shape, dtype=np.int32)
+        self._cells = self._cells._replace(values=values, stamps=stamps, corner=corner)
 
 
 def _moved_with_nearest(points: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -13,8 +14,15 @@ _TIGHT = 20.0
 # A step where no wall is in sight costs this many times as much.
 _OPEN = 3.0
 
-_NO_TARGETS = np.zeros((0, 0), dtype=bool)
-_NO_COSTS = np.zeros((0, 0))
+
+class Clearance(NamedTuple):
+    """Distances from occupied cells by which a step costs more, m."""
+
+    # Within this, a step costs many times as much. It is not forbidden, because cells are coarse,
+    # and a passage that looks too narrow may be the only one.
+    radius: float
+    comfort: float  # further distance within which a step costs up to three times as much
+    coast: float = math.inf  # distance beyond which a step costs three times as much
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +53,11 @@ class Routes:
 def routes(
     grid: GridView,
     start: FloatArray,
-    radius: float,
-    comfort: float,
+    clearance: Clearance,
     *,
     targets: BoolArray | None = None,
     extra: FloatArray | None = None,
     closed: BoolArray | None = None,
-    coast: float = math.inf,
 ) -> Routes:
     """Least-cost paths from a place (2,), m, over free cells (E. Dijkstra, "A note on two
     problems", 1959).
@@ -65,12 +71,8 @@ def routes(
         The map.
     start
         Position of the robot (2,), m. Its cell counts as free.
-    radius
-        Distance from occupied cells within which a step costs many times as much, m. Such steps are
-        not forbidden, because cells are coarse, and a passage that looks too narrow may be the only
-        one.
-    comfort
-        Further distance within which a step costs up to three times as much, m.
+    clearance
+        How far from walls a step costs more.
     targets
         Cells (rows, columns) of interest. If given, the search ends when the cheapest of them is
         found, and the cost of cells that are more expensive may be infinite.
@@ -79,32 +81,25 @@ def routes(
         left out.
     closed
         Free cells (rows, columns) that paths must not cross.
-    coast
-        Distance from occupied cells beyond which a step costs three times as much, m.
     """
     from limslam_agent.kernels.paths import search_paths
 
-    row, column = (int(index) for index in grid.cells(start[None])[0])
-    (rows, columns), size = grid.values.shape, grid.values.size
-    ways = Routes(np.full((rows, columns), np.inf), np.full(size, -1, dtype=np.int32))
-    if not (0 <= row < rows and 0 <= column < columns):
+    row, column = grid.cells(start[None])[0].tolist()
+    shape = grid.values.shape
+    ways = Routes(np.full(shape, np.inf), np.full(grid.values.size, -1, dtype=np.int32))
+    if not (0 <= row < shape[0] and 0 <= column < shape[1]):
         return ways
     open_cells = grid.free if closed is None else grid.free & ~closed
-    away = wall_distance(grid)
     open_cells[row, column] = True
+    away = wall_distance(grid)
+    radius, comfort, coast = clearance
     factors = np.where(away > coast, _OPEN, 1.0) + np.where(away < radius, _TIGHT, 0.0)
     factors += 2.0 * np.clip((radius + comfort - away) / comfort, 0.0, 1.0)
-    search_paths(
-        open_cells,
-        grid.cell * factors,
-        _NO_TARGETS if targets is None else targets.copy(),
-        _NO_COSTS if extra is None else extra.copy(),
-        row * columns + column,
-        np.empty(size, dtype=np.int32),
-        np.empty(size, dtype=np.int32),
-        ways.cost.ravel(),
-        ways.predecessors,
-    )
+    prices = np.where(open_cells, grid.cell * factors, np.inf)
+    ends = np.full(shape, np.inf)
+    if targets is not None:
+        ends[targets] = 0.0 if extra is None else extra[targets]
+    search_paths(prices, ends, row * shape[1] + column, ways.cost.ravel(), ways.predecessors)
     return ways
 
 

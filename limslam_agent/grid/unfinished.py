@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 # Steps to the four neighbours of a cell, as (row, column).
 _NEIGHBOURS = ((0, 1), (1, 0), (0, -1), (-1, 0))
@@ -61,7 +62,7 @@ def border_faces(grid: GridView, ground: BoolArray) -> Faces:
         normals.append(np.broadcast_to((-right, -down), found.shape))
     raw = np.concatenate(normals).astype(float)
     middles = np.ascontiguousarray(grid.centres(np.concatenate(cells)) - 0.5 * grid.cell * raw)
-    return Faces(middles, _smoothed(middles, raw))
+    return Faces(middles, _smoothed(Faces(middles, raw)))
 
 
 def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
@@ -77,15 +78,16 @@ def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
 
 def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArray:
     """Which faces (n,) have none of the walls (m, 4), m, on a grid of cells of a side (m)."""
-    from limslam_agent.kernels.regions import mark_drawn
-
     spans = segments[:, 2:] - segments[:, :2]
-    length = np.maximum(np.hypot(*spans.T), 1e-9)
-    walls = np.column_stack((segments[:, :2], spans / length[:, None], length))
-    drawn = np.empty(len(faces), dtype=bool)
-    limits = _ACROSS * cell, _SIDEWAYS * cell, _PAST * cell
-    mark_drawn(faces.middles, faces.normals, walls, *limits, _SAME_WAY, drawn)
-    return ~drawn
+    lengths = np.maximum(np.hypot(*spans.T), 1e-9)
+    along_x, along_y = (spans / lengths[:, None]).T
+    x, y = np.moveaxis(faces.middles[:, None] - segments[:, :2], -1, 0)
+    positions = x * along_x + y * along_y
+    looks = np.abs(faces.normals[:, 1:] * along_x - faces.normals[:, :1] * along_y)
+    reach = np.where(looks >= _SAME_WAY, _ACROSS * cell, _SIDEWAYS * cell)
+    is_beside = (positions >= -_PAST * cell) & (positions <= lengths + _PAST * cell)
+    is_drawn = is_beside & (np.abs(x * along_y - y * along_x) <= reach)
+    return np.asarray(~is_drawn.any(axis=1))
 
 
 def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
@@ -94,27 +96,32 @@ def in_long_stretches(faces: Faces, least: float, cell: float) -> BoolArray:
     Faces that look away from each other are of two stretches, so that a single occupied cell makes
     no stretch.
     """
-    from limslam_agent.kernels.regions import join_faces
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
 
-    stretches = np.empty(len(faces), dtype=np.int64)
-    join_faces(
-        faces.middles,
-        faces.normals,
-        faces.middles[:, 1].argsort(),
-        _JOINED * cell,
-        _SAME_WAY,
-        stretches,
-    )
-    return np.asarray((np.bincount(stretches) * cell >= least)[stretches], dtype=bool)
+    first, second = _neighbours(faces, _JOINED * cell, _SAME_WAY)
+    size = len(faces)
+    joined = coo_array((np.ones(len(first), dtype=bool), (first, second)), shape=(size, size))
+    _, stretches = connected_components(joined, directed=False)
+    return np.asarray((np.bincount(stretches) * cell >= least)[stretches])
 
 
-def _smoothed(middles: FloatArray, normals: FloatArray) -> FloatArray:
+def _smoothed(faces: Faces) -> FloatArray:
     """Unit normals (n, 2): the mean of those of the faces around that do not look the opposite
     way.
     """
-    from limslam_agent.kernels.regions import sum_normals
-
-    total = normals.copy()
-    sum_normals(middles, normals, middles[:, 1].argsort(), _SMOOTHED, total)
+    total = faces.normals.copy()
+    first, second = _neighbours(faces, _SMOOTHED, 0.0)
+    np.add.at(total, first, faces.normals[second])
+    np.add.at(total, second, faces.normals[first])
     size = np.hypot(*total.T)[:, None]
-    return np.asarray(np.where(size > 1e-9, total / np.maximum(size, 1e-9), normals))
+    return np.asarray(np.where(size > 1e-9, total / np.maximum(size, 1e-9), faces.normals))
+
+
+def _neighbours(faces: Faces, reach: float, least: float) -> IntArray:
+    """Pairs (2, k) of faces at most ``reach`` apart, m, between whose normals the cosine is at
+    least ``least``.
+    """
+    pairs = cKDTree(faces.middles).query_pairs(reach, output_type="ndarray").T
+    first, second = faces.normals[pairs]
+    return np.asarray(pairs[:, (first * second).sum(axis=1) >= least])

@@ -7,7 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.compilation import compiled, entry
-from limslam_agent.kernels.tables import FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
+from limslam_agent.kernels.tables import (
+    FROM_X,
+    FROM_Y,
+    TOO_FAR,
+    TOO_NEAR,
+    TOWARDS_X,
+    TOWARDS_Y,
+    Cells,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 
 GridArray: TypeAlias = NDArray[np.int8] | NDArray[np.int16]
@@ -84,11 +92,9 @@ def touched_cells(
             # Samples are half a cell apart, so that many lie in the same cell as the one before.
             if i and samples[0, i] == samples[0, i - 1] and samples[1, i] == samples[1, i - 1]:
                 continue
-            cells[size, 0], cells[size, 1], cells[size, 2] = (
-                int(samples[0, i]),
-                int(samples[1, i]),
-                CROSSED,
-            )
+            cells[size, 0] = int(samples[0, i])
+            cells[size, 1] = int(samples[1, i])
+            cells[size, 2] = CROSSED
             size += 1
     for k in range(len(BODY)):
         cells[size, 0] = math.floor((y + radius * BODY[k, 1]) / cell)
@@ -132,8 +138,10 @@ def include(touched: IntArray, column: int, row: int) -> None:
     """Extend the first column and row that are touched, and those after the last ones (2, 2), to
     one more cell.
     """
-    touched[0, 0], touched[0, 1] = min(touched[0, 0], column), min(touched[0, 1], row)
-    touched[1, 0], touched[1, 1] = max(touched[1, 0], column + 1), max(touched[1, 1], row + 1)
+    touched[0, 0] = min(touched[0, 0], column)
+    touched[0, 1] = min(touched[0, 1], row)
+    touched[1, 0] = max(touched[1, 0], column + 1)
+    touched[1, 1] = max(touched[1, 1], row + 1)
 
 
 @entry
@@ -141,27 +149,19 @@ def update_grid(
     pose: FloatArray,
     ranges: FloatArray,
     measured: BoolArray,
-    beams: FloatArray,
-    radius: float,
-    cell: float,
-    values: GridArray,
-    corner: IntArray,
-    rules: IntArray,
-    stamps: StampArray,
+    body: tuple[FloatArray, float],
+    grid: Cells,
     stamp: int,
     touched: IntArray,
 ) -> bool:
     """Update a grid by one step's readings, if it holds all cells that they touch; whether it does.
 
-    The first arguments are those of :func:`touched_cells`, and the last ones those of
-    :func:`change_cells`. The first of the cells has the column and row ``corner`` (2,), counted
-    from the world's origin, and ``rules`` (3,) are what is added, what is subtracted, and the
-    largest absolute value. ``touched`` (2, 2) is set to the first column and row that are touched,
-    and to those after the last ones.
+    The first arguments are those of :func:`touched_cells`, with the beams and the radius as the
+    ``body``. ``stamp`` is the number of the update. ``touched`` (2, 2) is set to the first column
+    and row that are touched, and to those after the last ones.
     """
-    cells = touched_cells(pose, ranges, measured, beams, radius, cell)
-    x = pose[0]
-    y = pose[1]
+    beams, radius = body
+    cells = touched_cells(pose, ranges, measured, beams, radius, grid.size)
     cos = math.cos(pose[2])
     sin = math.sin(pose[2])
     for axis in range(2):
@@ -174,19 +174,15 @@ def update_grid(
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
             px = beams[beam, FROM_X] + ranges[beam] * beams[beam, TOWARDS_X]
             py = beams[beam, FROM_Y] + ranges[beam] * beams[beam, TOWARDS_Y]
-            include(
-                touched,
-                math.floor((px * cos - py * sin + x) / cell),
-                math.floor((px * sin + py * cos + y) / cell),
-            )
+            column = math.floor((px * cos - py * sin + pose[0]) / grid.size)
+            include(touched, column, math.floor((px * sin + py * cos + pose[1]) / grid.size))
     for axis in range(2):
-        if (
-            touched[0, axis] < corner[axis]
-            or touched[1, axis] > corner[axis] + values.shape[1 - axis]
-        ):
+        end = grid.corner[axis] + grid.values.shape[1 - axis]
+        if touched[0, axis] < grid.corner[axis] or touched[1, axis] > end:
             return False
     for i in range(len(cells)):
-        cells[i, 0] -= corner[1]
-        cells[i, 1] -= corner[0]
-    change_cells(values, cells, stamps, stamp, rules[0], rules[1], rules[2])
+        cells[i, 0] -= grid.corner[1]
+        cells[i, 1] -= grid.corner[0]
+    seen_through, hit, limit = grid.rules
+    change_cells(grid.values, cells, grid.stamps, stamp, seen_through, hit, limit)
     return True

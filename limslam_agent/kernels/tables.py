@@ -179,6 +179,29 @@ which they are made.
 """
 
 
+class Cells(NamedTuple):
+    """The cells of a grid, counted from the world's origin.
+
+    Attributes
+    ----------
+    values, stamps
+        Values (rows, columns), and the number of the update that has changed each of them last.
+    corner
+        Column and row (2,) of the first cell.
+    size
+        Side of a cell, m.
+    rules
+        What is added where a beam crosses, what is subtracted where one ends, and the largest
+        absolute value (3,).
+    """
+
+    values: NDArray[np.int16]
+    stamps: NDArray[np.int32]
+    corner: IntArray
+    size: float
+    rules: IntArray
+
+
 class Filter(NamedTuple):
     """A state of poses, lines and clones, in this order. For the n filters of a batch, each array
     has one more axis.

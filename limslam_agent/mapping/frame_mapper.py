@@ -11,12 +11,12 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
-from limslam_agent.slam.core.diagnostics import Extraction
+from limslam_agent.record import Drive, Scan
 from limslam_agent.slam.slam import Estimator, is_renewable
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
-from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import LARGE_CORRECTION
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.numbers import check_poses
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
@@ -48,11 +48,13 @@ class FrameMapper:
         slam: Estimator,
         grid: OccupancyGrid,
         config: AgentConfig,
+        drives: Sequence[Drive],
         drawers: Sequence[ReadingDrawer] = (),
     ) -> None:
         self.slam = slam
         self.grid = grid
         self._config = config
+        self._drives = drives
         self.slam_ms = 0.0
         self.drawers = drawers or self._new_drawers()
         self._places = slam.sensor.places
@@ -61,13 +63,12 @@ class FrameMapper:
     def begin_anew(self) -> None:
         """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
         self.reset_monitors()
-        self._extraction: Extraction | None = None
-        self.renewal = Renewal(self.slam, self._config, self.grid)
+        self.renewal = Renewal(self.slam, self._config, self.grid, self._drives[0])
 
     def reset_monitors(self) -> None:
         """Forget all doubts about the estimates so far."""
         slam = self.slam
-        self.monitors = [StatusMonitor(slam.robot, slam.sensor) for _ in slam.robots]
+        self.monitors = [StatusMonitor(slam.robot, slam.sensor, drive) for drive in self._drives]
 
     def process(
         self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True
@@ -92,38 +93,27 @@ class FrameMapper:
             If the estimate has left all bounds.
         """
         begin = time.perf_counter()
-        before = self.slam.poses
-        self.slam.step(*observations)
+        slam = self.slam
+        before = slam.poses
+        last = slam.last_extraction
+        slam.step(*observations)
         self.slam_ms = _ms_since(begin)
-        check_poses("the estimated pose", self.slam.poses)
-        off = self.slam.poses - compose(before, np.array(self.slam.increments))
-        if (
-            np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION
-        ):  # of one robot, and so the map of all has moved
-            for monitor in self.monitors:
-                monitor.forget_map()
-        known = self.monitors[0].sensor
-        sensor = self.slam.sensor
-        if sensor.places != self._places:
-            self._places, self.drawers = sensor.places, self._new_drawers()
-            self.grid = self.renewal.draw_again()
-        if sensor.turns != known.turns:
-            # The beams point elsewhere than was known. A further correction may be due to readings
-            # at a wrong place, and must not erase the doubts that these readings have raised.
-            if known.turns:
-                for monitor in self.monitors:
-                    monitor.sensor = sensor
-            else:
-                self.reset_monitors()
-        last = self._extraction
-        self._extraction = self.slam.last_extraction
-        for number in range(len(self.monitors)):
-            self._watch(number, observations[number], is_busy=last is not self._extraction)
-        for pose, front, drawer in zip(
-            self.slam.poses, self.slam.robots, self.drawers, strict=True
-        ):
+        check_poses("the estimated pose", slam.poses)
+        self._follow_corrections(before)
+        self._record(observations)
+        for number in range(len(observations)):
+            self._watch(number, is_busy=slam.last_extraction is not last)
+        for pose, front, drawer in zip(slam.poses, slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
-        return self._renew(observations[0], may_renew=may_renew)
+        if not self.renewal.is_possible or "wheels" not in observations[0]:
+            return False
+        begin = time.perf_counter()
+        self.renewal.note()
+        is_renewed = may_renew and self.renewal.renew_if_due()
+        if is_renewed:
+            self._take_renewed(is_moved=self.renewal.has_jumped)
+        self.slam_ms += _ms_since(begin)
+        return is_renewed and self.renewal.has_jumped
 
     def renew_lost(self) -> bool:
         """Renew the estimate of a robot that has just been lost, if that explains its readings;
@@ -131,43 +121,59 @@ class FrameMapper:
         """
         is_renewed = self.renewal.renew_lost()
         if is_renewed:
-            self.grid = self.renewal.grid
-            self.reset_monitors()
+            self._take_renewed(is_moved=True)
         return is_renewed
 
     def _new_drawers(self) -> Sequence[ReadingDrawer]:
         return [ReadingDrawer(self.slam.mounted) for _ in self.slam.robots]
 
-    def _watch(self, number: int, observation: Observation, *, is_busy: bool) -> None:
-        """Tell a robot's monitor the motion and the readings of this step, and let it compare them
-        if that is due.
+    def _take_renewed(self, *, is_moved: bool) -> None:
+        self.grid = self.renewal.grid
+        if is_moved:
+            self.reset_monitors()
+
+    def _follow_corrections(self, before: FloatArray) -> None:
+        """See to it that monitors and grid know what the SLAM has corrected since the poses
+        ``before`` (n, 3): the map, or where the beams are and point.
         """
+        sensor = self.slam.sensor
+        off = self.slam.poses - compose(before, np.array(self.slam.increments))
+        if np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION:
+            for monitor in self.monitors:  # that of one robot has moved the map of all
+                monitor.forget_map()
+        if sensor.places != self._places:
+            self._places = sensor.places
+            self.drawers = self._new_drawers()
+            self.grid = self.renewal.draw_again()
+        known = self.monitors[0].sensor.turns
+        if sensor.turns != known and not known:
+            self.reset_monitors()
+        elif sensor.turns != known:
+            # A further correction may be due to readings at a wrong place, and must not erase the
+            # doubts that these readings have raised.
+            for monitor in self.monitors:
+                monitor.sensor = sensor
+
+    def _record(self, observations: Sequence[Observation]) -> None:
+        """Record the step that the SLAM has just processed."""
+        slam = self.slam
+        estimates = zip(slam.poses, slam.increments, slam.covariances, strict=True)
+        steps = zip(self._drives, slam.robots, estimates, observations, strict=True)
+        for drive, front, (pose, motion, covariance), seen in steps:
+            ranges = np.where(front.measured, front.reported, np.nan)
+            drive.scans.append(Scan(pose, ranges, motion, seen, covariance.copy()))
+
+    def _watch(self, number: int, *, is_busy: bool) -> None:
+        """Let a robot's monitor see the latest step, and compare the readings if that is due."""
         monitor = self.monitors[number]
         slam = self.slam
-        front = self.slam.robots[number]
-        sight = Sight.of(front, slam.poses[number], slam.increments[number], observation)
-        if monitor.observe(sight, is_busy=is_busy):
+        if monitor.observe(is_busy=is_busy):
             monitor.sensor = slam.sensor
             counts = self._config.free_space_counts
             known = KnownMap(slam.segments, self.grid.view, slam.sensor, free_space_counts=counts)
             monitor.check(slam.covariances[number], known)
             if monitor.broken is not None and is_renewable(slam):
                 slam.leave_out(monitor.broken)
-
-    def _renew(self, observation: Observation, *, may_renew: bool) -> bool:
-        """Smooth the last minutes, if that is due; whether that has moved the path far."""
-        renewal = self.renewal
-        if not renewal.is_possible or "wheels" not in observation:
-            return False
-        begin = time.perf_counter()
-        renewal.note(observation)
-        is_renewed = may_renew and renewal.renew_if_due()
-        if is_renewed:
-            self.grid = renewal.grid
-            if renewal.has_jumped:
-                self.reset_monitors()
-        self.slam_ms += _ms_since(begin)
-        return is_renewed and renewal.has_jumped
 
 
 def _ms_since(begin: float) -> float:

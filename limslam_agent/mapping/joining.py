@@ -3,8 +3,8 @@ maps fit together.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -14,22 +14,19 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.places.absence import copied
+from limslam_agent.mapping.renewal import run_of
 from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.other_map import Meeting, may_have_met
+from limslam_agent.places.other_map import Meeting, OwnMap, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
-from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel
-from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.slam import ConsistentEstimator, Estimator
-from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun
+    from limslam_agent.slam.line_graph.smoother import SmoothedRun
 
 NOT_YET_JOINED = Status(
     "unsure", "the second robot's place relative to the first one is not known yet"
@@ -49,8 +46,7 @@ UNKNOWN = np.diag([100.0, 100.0, np.pi**2])
 """Covariance (3, 3) of an unknown place in a building, m and rad."""
 
 
-@dataclass(frozen=True, eq=False)
-class Earlier:
+class Earlier(NamedTuple):
     """The steps until two robots were joined, as they became known then, in the shared frame.
 
     Of robots that parted again: the steps until then, each in its own frame.
@@ -102,13 +98,16 @@ class JoiningMapper(Mapper):
             raise ValueError(
                 "unknown starts are for two robots with the preset graph or consistent"
             )
-        self.is_apart, self._meeting = True, Meeting(self.robot)
+        self.is_apart = True
+        self._meeting = Meeting(self.robot)
         # What ends in space that is known to be free may be the body of the other robot, and
         # contradicts no map.
         config = replace(self.config, free_space_counts=False)
         self._alone = [Mapper(self.robot, config, start) for start in self._starts]
+        for mapper in self._alone:
+            mapper.keeps_drives = True
         self._changes = 0  # number of times that the robots were joined or parted
-        self._rows = list[tuple[FloatArray, FloatArray, FloatArray]]()
+        self._believed = list[Earlier]()  # what was believed in each step
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""
@@ -152,20 +151,25 @@ class JoiningMapper(Mapper):
         return self._alone[0].slam if self.is_apart else super().slam
 
     @property
+    def frame(self) -> int:
+        """Number of times that the frame of a robot has changed."""
+        if not self.is_apart:
+            return super().frame
+        return self._changes + sum(each.frame for each in self._alone)
+
+    @property
     def poses(self) -> FloatArray:
         """Estimated pose of each robot (2, 3), m and rad. That of the second robot is in its own
         frame at first.
         """
         return (
-            np.array([mapper.poses[0] for mapper in self._alone])
-            if self.is_apart
-            else super().poses
+            np.concatenate([each.poses for each in self._alone]) if self.is_apart else super().poses
         )
 
     @property
     def dropped(self) -> list[BoolArray]:
         """The latest beams of each robot that were ignored, since they may have hit a teammate."""
-        return [mapper.dropped[0] for mapper in self._alone] if self.is_apart else super().dropped
+        return [each.dropped[0] for each in self._alone] if self.is_apart else super().dropped
 
     @property
     def covariances(self) -> FloatArray:
@@ -175,14 +179,10 @@ class JoiningMapper(Mapper):
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        note = NOT_YET_JOINED if self.is_apart else NOT_YET_CONFIRMED
-        first, second = (
-            [mapper.statuses[0] for mapper in self._alone] if self.is_apart else super().statuses
-        )
-        return [
-            first,
-            note if second.level == "ok" and (self.is_apart or self._meeting.is_open) else second,
-        ]
+        found = [each.statuses[0] for each in self._alone] if self.is_apart else super().statuses
+        if found[1].level == "ok" and (self.is_apart or self._meeting.is_open):
+            found[1] = NOT_YET_JOINED if self.is_apart else NOT_YET_CONFIRMED
+        return found
 
     @property
     def beliefs(self) -> list[Belief]:
@@ -204,42 +204,36 @@ class JoiningMapper(Mapper):
         """How the search ended. The second robot's own map is known after :meth:`finish`, if it was
         not placed.
         """
-        return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
+        return PlaceHistory(self._meeting.events, self._unplaced)
 
-    def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
+    def _is_to_restart(self, reported: Sequence[Observation]) -> bool:
         """A team does not begin again, since its robots are not at their starts any more."""
-        del observations
+        del reported
         return False
 
     def _step_alone(self, observations: Sequence[Observation]) -> None:
         """Let each robot go on in its own frame."""
-        observations = copied(observations)
         for mapper, observation in zip(self._alone, observations, strict=True):
             mapper.step(observation)
         if self._meeting.is_open:
-            seen = zip(observations, [mapper.slam for mapper in self._alone], strict=True)
-            self._meeting.note(
-                [Sight.of(own.robots[0], own.pose, own.increments[0], each) for each, own in seen]
-            )
-            odometry = np.concatenate([mapper.odometry for mapper in self._alone])
-            own_poses = np.array([mapper.poses[0] for mapper in self._alone])
-            self._rows.append((own_poses, self._covariances_apart, odometry))
+            self._meeting.drive(np.array([each.slam.increments[0] for each in self._alone]))
+            odometry = np.concatenate([each.odometry for each in self._alone])
+            poses = np.concatenate([each.poses for each in self._alone])
+            self._believed.append(Earlier(poses, self._covariances_apart, odometry))
         if self.is_apart:
             self._follow_both()
         else:
-            self.slam_ms += sum(mapper.slam_ms for mapper in self._alone)
+            self.slam_ms += sum(each.slam_ms for each in self._alone)
 
     @property
     def _covariances_apart(self) -> FloatArray:
-        first, second = (mapper.covariances[0] for mapper in self._alone)
+        first, second = (each.covariances[0] for each in self._alone)
         return np.array([first, second + UNKNOWN])
 
     def _follow_both(self) -> None:
         """Take over what the robots know by themselves."""
-        self.frame = self._changes + sum(mapper.frame for mapper in self._alone)
-        self.slam_ms = sum(mapper.slam_ms for mapper in self._alone)
-        self.odometry = np.concatenate([mapper.odometry for mapper in self._alone])
-        self.odometry.setflags(write=False)
+        self.slam_ms = sum(each.slam_ms for each in self._alone)
+        self._set_odometry(np.concatenate([each.odometry for each in self._alone]))
 
     def _compare(self) -> None:
         """Compare the maps of both robots."""
@@ -247,6 +241,8 @@ class JoiningMapper(Mapper):
             self._check_joining()
         elif self._is_one_elsewhere:
             self._meeting.end("a robot was carried away, or has begun a new map")
+            for mapper in self._alone:
+                mapper.keeps_drives = False
         else:
             self._seek_other()
 
@@ -257,12 +253,13 @@ class JoiningMapper(Mapper):
         A lost robot is not in its map. The search goes on when both know their places again.
         """
         frame = None if self._is_one_lost else self._meeting.seek(self._own_maps)
-        if frame is not None:
-            self._join(frame)
+        smoothed = None if frame is None else self._smoothed_together(frame)
+        if smoothed is not None:
+            self._join(smoothed)
 
     @property
-    def _own_maps(self) -> list[tuple[Estimator, GridView]]:
-        return [(mapper.slam, mapper.grid) for mapper in self._alone]
+    def _own_maps(self) -> list[OwnMap]:
+        return [OwnMap(each.slam, each.grid, each.drive) for each in self._alone]
 
     @property
     def _is_one_elsewhere(self) -> bool:
@@ -280,16 +277,11 @@ class JoiningMapper(Mapper):
     def _is_one_lost(self) -> bool:
         return any(mapper.statuses[0].level == "lost" for mapper in self._alone)
 
-    def _join(self, frame: FloatArray) -> None:
-        """Go on in the map of both drives, smoothed as one, with the second robot's frame at about
-        a pose (3,).
-        """
-        smoothed = self._smoothed_together(frame)
-        if smoothed is None:
-            return
+    def _join(self, smoothed: "SmoothedRun") -> None:
+        """Go on in the map of both drives, smoothed as one."""
         poses = smoothed.poses
-        start = smoothed.poses[0, 1]
-        slam = self._slam_at(poses[-1])
+        start = poses[0, 1]
+        slam = self._frames.slam_at(poses[-1])
         assert isinstance(slam, ConsistentEstimator)  # noqa: S101 (others are not joined)
         slam.know(smoothed.landmarks, smoothed.segments)
         slam.associations.extend(smoothed.associations)
@@ -300,16 +292,16 @@ class JoiningMapper(Mapper):
         ranges = smoothed.ranges
         is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
-        self._use(slam, grid)
+        self._frames.use(slam, grid)
         for front, mapper in zip(slam.robots, self._alone, strict=True):
             front.ticks = mapper.slam.robots[0].ticks
         self._waiting = WaitingTravel(2, self.robot)
-        odometry = np.array([row[2] for row in self._rows])
+        odometry = np.array([each.odometry for each in self._believed])
         odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])
         self.earlier = Earlier(poses, smoothed.covariances, odometry)
-        self.odometry = odometry[-1]
+        self._set_odometry(odometry[-1])
         self._changes += 1
-        self.frame = self._changes + sum(mapper.frame for mapper in self._alone)
+        self._frames.frame = self.frame
         self.is_apart = False
         self._meeting.has_joined(start)
 
@@ -320,34 +312,12 @@ class JoiningMapper(Mapper):
         # The kernels of the smoother load numba, which takes time that other commands do not need.
         from limslam_agent.slam.line_graph.smoother import beside, smooth_with_unknown_start
 
-        run = beside(self._own_run(0), self._own_run(1), frame)
+        first, second = (
+            run_of(mapper.slam, self.config, mapper.drive.scans) for mapper in self._alone
+        )
+        run = beside(first, second, frame)
         usable = run.usable & ~may_have_met(run.poses, run.ranges, self.robot)
         return smooth_with_unknown_start(replace(run, usable=usable), self.config.run_smoothing)
-
-    def _own_run(self, number: int) -> "FilteredRun":
-        """The drive of a robot in its own frame."""
-        from limslam_agent.slam.line_graph.smoother import FilteredRun
-
-        slam = self._alone[number].slam
-        steps = self._meeting.steps[number]
-        ranges = self._meeting.ranges[:, [number]]
-        wheels = np.array([step.observation["wheels"] for step in steps])[:, None]
-        yaw = np.array([yaw_of(step.observation) for step in steps])
-        poses = np.array([step.pose for step in steps])[:, None]
-        return FilteredRun(
-            self.robot,
-            self.config.noise,
-            wheels,
-            ranges,
-            np.isfinite(ranges),
-            poses,
-            np.zeros((*poses.shape, 3)),
-            slam.associations,
-            slam.closures,
-            sensor=slam.sensor,
-            yaw=yaw[:, None],
-            wheel_variances=np.array([unknown_of(step.observation) for step in steps])[:, None],
-        )
 
     def _check_joining(self) -> None:
         """Confirm a joining, or take it back. The own map of a robot that is lost or elsewhere says
@@ -364,11 +334,11 @@ class JoiningMapper(Mapper):
             self._part(objection)
         elif not self._meeting.is_open:
             self._alone = []
-            self._rows = []
+            self._believed = []
 
     def _part(self, reason: str) -> None:
         """Take a joining back: each robot goes on with the map that it has by itself."""
-        self.earlier = Earlier(*(np.array(each) for each in zip(*self._rows, strict=True)))
+        self.earlier = Earlier(*(np.array(each) for each in zip(*self._believed, strict=True)))
         self.is_apart = True
         self._changes += 1
         self._meeting.has_parted(reason)

@@ -2,10 +2,12 @@
 
 What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost
 robot changes frames in
-:mod:`limslam_agent.mapping.frames`.
+:mod:`limslam_agent.mapping.recovery`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -13,12 +15,12 @@ from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.mapping.frames import Frames
-from limslam_agent.places.absence import copied
+from limslam_agent.mapping.frames import Errors, Frames
+from limslam_agent.mapping.recovery import Recovery
 from limslam_agent.places.other_map import NOT_YET_FOUND, Lookup
-from limslam_agent.places.recovery import Recovery
-from limslam_agent.places.revisions import PlaceHistory
+from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.places.saved_map import SavedMap
+from limslam_agent.record import Drive
 from limslam_agent.slam.consistent.limits import RESTART_WITHIN
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
@@ -26,7 +28,7 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import ConsistentEstimator, Estimator, LineSlam
 from limslam_agent.status.chance import LIMIT
-from limslam_agent.status.rays import Sight, wall_points
+from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import check_poses, floats
@@ -78,7 +80,7 @@ class MapSnapshot:
         return np.asarray(self.covariances[0])
 
 
-class Mapper(Frames):
+class Mapper:
     """Estimates poses and builds the map for one robot, or for several robots that share one map.
 
     Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid
@@ -101,6 +103,8 @@ class Mapper(Frames):
 
     Attributes
     ----------
+    robot, config
+        Body and beams, and settings.
     odometry
         Pose of each robot by odometry alone (n, 3), corrected for the known bias in the settings.
         Read-only; each step makes a new array.
@@ -110,9 +114,14 @@ class Mapper(Frames):
         apart than 300 control periods.
     is_apart
         Whether each robot maps in a frame of its own, since their relative starts are unknown.
+    keeps_drives
+        Whether all steps are kept, since somebody compares the drives of several mappers.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place
         there is found.
+    slam_ms
+        Wall-clock time that the SLAM took in the latest step, without the grid and the odometry,
+        ms.
 
     Raises
     ------
@@ -122,6 +131,7 @@ class Mapper(Frames):
     """
 
     is_apart = False
+    keeps_drives = False
 
     def __init__(
         self,
@@ -131,7 +141,14 @@ class Mapper(Frames):
         *,
         prior_map: SavedMap | None = None,
     ) -> None:
-        super().__init__(robot, config or preset(DEFAULT_PRESET))
+        config = config or preset(DEFAULT_PRESET)
+        if not isinstance(robot, RobotSpec) or not isinstance(config, AgentConfig):
+            raise TypeError(
+                "a mapper needs a RobotSpec and an AgentConfig, in this order, not "
+                f"{type(robot).__name__} and {type(config).__name__}"
+            )
+        self.robot = robot
+        self.config = config
         self._prior_map = prior_map
         self.longest_travel = longest_travel(robot)
         self.reset(np.zeros(3) if start_pose is None else start_pose)
@@ -151,26 +168,33 @@ class Mapper(Frames):
                 f"a start pose has the shape (3,), or (n, 3) for n robots, not {poses.shape}"
             )
         check_poses("start poses", starts)
-        self._restarts = 0
-        self._start_at(starts, LineSlam(self.robot, self.config, starts))
-
-    def _start_at(self, starts: FloatArray, slam: Estimator) -> None:
-        """Begin at known poses (n, 3) with an empty map."""
         self._starts = starts
+        self._restarts = 0
         self._is_finished = False
-        self._begin(slam)
-        self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
+        self._begin(LineSlam(self.robot, self.config, starts))
+
+    def _begin(self, slam: Estimator) -> None:
+        """Begin at the starts with an empty map."""
+        self._frames = Frames(self.robot, self.config, slam)
         self._recovery = self._new_recovery()
-        self._lookup = None
+        self._lookup: Lookup | None = None
         if self._prior_map is not None:
-            self._lookup = Lookup(self._prior_map, self.robot, self.config, len(starts))
-        self._waiting = WaitingTravel(len(starts), self.robot)
+            self._lookup = Lookup(self._prior_map, self.robot, self.config, len(self._starts))
+        self._unplaced: Unplaced | None = None
+        self._first_steps = list[Sequence[Observation]]()
+        self._errors = Errors.of(slam)
+        self._waiting = WaitingTravel(len(self._starts), self.robot)
         self.prior_frame: FloatArray | None = None
-        self.odometry = starts.copy()
-        self.odometry.setflags(write=False)
+        self._set_odometry(self._starts.copy())
+        self.slam_ms = 0.0
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot.
+
+        When the SLAM finds out in one of the first steps that odometry or sensor are not as
+        specified, it has mapped the first metres with large errors of the heading, and the linear
+        correction of its state leaves errors of second order. So all observations are processed
+        again, by a filter that knows these errors from the start.
 
         Raises
         ------
@@ -185,35 +209,40 @@ class Mapper(Frames):
             self.slam.robots, observations, strict=False
         ):  # the SLAM checks their number
             self.check(observation, front)
-        told = copied(observations)
-        observations = tuple(self._waiting.synchronous(told, self.slam.sensor.delay))
-        before = self.slam.last_extraction
-        has_jumped = self._present.process(observations, self.frame)
+        spent = 0.0
+        waiting: list[Sequence[Observation]] = [copied(observations)]
+        while waiting:
+            first_steps = self._first_steps
+            self._process(waiting.pop(0))
+            spent += self.slam_ms
+            if self._first_steps is not first_steps:
+                waiting[:0] = first_steps
+        self.slam_ms = spent
+
+    def _process(self, reported: Sequence[Observation]) -> None:
+        """Process copies of the observations of a step, or begin again by what they have shown."""
         slam = self.slam
+        observations = self._waiting.synchronous(reported, slam.sensor.delay)
+        before = slam.last_extraction
+        has_jumped = self._frames.process(observations)
         if isinstance(slam, ConsistentEstimator) and slam.last_extraction is not before:
             slam.correct_delay()
-        self.slam_ms, motions = self._present.slam_ms, self.slam.increments
-        if has_jumped:
-            self.frame += 1
-            if self._recovery is not None:
-                self._recovery.move(
-                    self._present.renewal.poses[:-1]
-                )  # the present step is noted afterwards
-        self.odometry = np.array(
-            [compose(*each) for each in zip(self.odometry, motions, strict=True)]
-        )
-        self.odometry.setflags(write=False)
+        self._set_odometry(np.array(list(map(compose, self.odometry, slam.increments))))
         if self._lookup is not None and self._lookup.is_open:
-            self._lookup.note(
-                Sight.of(self.slam.robots[0], self.slam.pose, motions[0], observations[0])
-            )
-        if self._is_to_restart(told):
-            self._restart()
+            self._lookup.drive(slam.increments[0])
+        if self._is_to_restart(reported):
+            self._restarts += 1
+            self.slam_ms = self._frames.slam_ms
+            self._begin(self._frames.slam_at(self._starts))
             return
         if self._recovery is not None and "wheels" in observations[0]:
-            self._follow(self._recovery, observations[0], motions[0])
+            if has_jumped:
+                self._recovery.move()
+            self._recovery.follow()
         if self._lookup is not None and self._lookup.is_due:
             self._look_up(self._lookup)
+        self._forget()
+        self.slam_ms = self._frames.slam_ms
 
     def finish(self) -> None:
         """Use the readings that are still buffered. Call this after the last step; a second call
@@ -229,14 +258,38 @@ class Mapper(Frames):
         self.slam.finish()
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.end("no match was good and unambiguous")
-        if self._recovery is not None and self._recovery.is_lost:
-            self._give_up(self._recovery)
-        elif self._recovery is not None and self._recovery.is_placed:
+        if self._recovery is not None:
+            self._unplaced = self._recovery.give_up()
             # The run may have ended because nothing is left to see, between two looks at the place.
-            self._recovery.confirm(
-                self._present.monitors[0].by_readings, self._followed, self._present.grid.view
-            )
+            self._recovery.confirm()
         self.slam.finish()
+
+    @property
+    def slam(self) -> Estimator:
+        """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame
+        has another SLAM.
+        """
+        return self._frames.present.slam
+
+    @property
+    def drive(self) -> Drive:
+        """The recorded drive of the first robot."""
+        return self._frames.drives[0]
+
+    @property
+    def frame(self) -> int:
+        """Number of times that the frame of the poses has changed: a lost robot goes on in a local
+        frame until it has found its place, and then in the earlier frame again. A renewal that
+        moves the path far counts as well.
+        """
+        return self._frames.frame
+
+    @property
+    def map_number(self) -> int:
+        """Number of the present map. A local frame has a map of its own; in the earlier frame, the
+        number is as before.
+        """
+        return self._frames.map_number
 
     @property
     def belief(self) -> Belief:
@@ -287,7 +340,7 @@ class Mapper(Frames):
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        found = [monitor.status for monitor in self._present.monitors]
+        found = [monitor.status for monitor in self._frames.present.monitors]
         found = found if self._recovery is None else [self._recovery.status(found[0])]
         is_open = self._lookup is not None and self._lookup.is_open
         return [NOT_YET_FOUND] if is_open and found[0].level == "ok" else found
@@ -298,15 +351,9 @@ class Mapper(Frames):
         recovery = self._recovery
         if recovery is None:
             return PlaceHistory()
-        breaks = list(recovery.breaks)
-        records = list(recovery.records)
-        if self._lookup is not None:
-            records = [*self._lookup.records, *records]
-        is_suspicious = self._present.monitors[0].mistaken >= LIMIT
-        slips = list(recovery.slips)
-        return PlaceHistory(
-            list(self._revisions), breaks, slips, self._unplaced, records, is_suspicious
-        )
+        events = (() if self._lookup is None else self._lookup.events) + recovery.events
+        is_suspicious = self._frames.present.monitors[0].mistaken >= LIMIT
+        return PlaceHistory(events, self._unplaced, is_suspicious)
 
     @property
     def covariances(self) -> FloatArray:
@@ -314,7 +361,7 @@ class Mapper(Frames):
         is lost.
         """
         covariances = self.slam.covariances
-        for number, monitor in enumerate(self._present.monitors):
+        for number, monitor in enumerate(self._frames.present.monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
         return (
@@ -324,7 +371,7 @@ class Mapper(Frames):
     @property
     def grid(self) -> GridView:
         """The occupancy grid that all robots share. Later steps do not change it."""
-        view = self._present.grid.view
+        view = self._frames.present.grid.view
         values = view.values.copy()
         values.setflags(write=False)
         return GridView(view.low, view.cell, values)
@@ -343,7 +390,7 @@ class Mapper(Frames):
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
-    def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
+    def _is_to_restart(self, reported: Sequence[Observation]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which
         are kept.
         """
@@ -352,69 +399,72 @@ class Mapper(Frames):
         slam = self.slam
         if not isinstance(slam, ConsistentEstimator):
             return False
-        before = self._known
-        self._known = self._found()
-        sensor = self._known[0]
+        self._first_steps.append(reported)
+        before = self._errors
+        found = Errors.of(slam)
         reach = self.robot.reach
-        ratio = sensor.usual_std(reach) / before[0].usual_std(reach)
+        ratio = found.sensor.usual_std(reach) / before.sensor.usual_std(reach)
         if max(ratio, 1.0 / ratio) < _SAME_NOISE:
-            sensor = sensor._replace(std=before[0].std, growth=before[0].growth)
-            self._known = sensor, *self._known[1:]
-        self._first_steps.append(observations)
-        if self._known[2] != before[2]:
-            slam.forget_sensor()
-            self._restarts, self._known = 0, self._found()
-        if sensor.broken != before[0].broken:
+            known = found.sensor._replace(std=before.sensor.std, growth=before.sensor.growth)
+            found = found._replace(sensor=known)
+        if found.sensor.broken != before.sensor.broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
-        return self._known != before and self._restarts < MOST_RESTARTS
-
-    def _restart(self) -> None:
-        """Process all observations again, by a filter that knows the errors of odometry and sensor
-        from the start.
-
-        The filter that has just found out that they are not as specified has mapped the first
-        metres with large errors of the heading, and the linear correction of its state leaves
-        errors of second order.
-        """
-        self._restarts += 1
-        steps = self._first_steps
-        spent = self.slam_ms
-        self._start_at(self._starts, self._slam_at(self._starts))
-        for observations in steps:
-            self.step(*observations)
-            spent += self.slam_ms
-        self.slam_ms = spent
+        if found.holds != before.holds:
+            slam.forget_sensor()
+            self._restarts = 0
+            found = Errors.of(slam)
+        self._errors = found
+        return self._errors != before and self._restarts < MOST_RESTARTS
 
     def _new_recovery(self) -> Recovery | None:
         """What follows the estimate of a single robot, if it is to find its place again when it is
         lost.
         """
-        return (
-            Recovery(self.robot, self.config)
-            if self.config.can_recover and len(self._starts) == 1
-            else None
-        )
+        is_followed = self.config.can_recover and len(self._starts) == 1
+        return Recovery(self._frames) if is_followed else None
 
     def _look_up(self, lookup: Lookup) -> None:
         """Search the earlier map for the place, and go on in the earlier map if the place is
         clear.
         """
-        if self._recovery is not None and self._recovery.records:
+        if self._recovery is not None and self._recovery.events:
             lookup.end("the robot was lost before its place was found")
             return
-        found = lookup.seek(self._starts[0], self.slam.sensor)
+        frames = self._frames
+        found = lookup.seek(self.drive, self._starts[0], self.slam.sensor)
         if found is None:
             return
         self.prior_frame = compose(found.pose, inverse(self._starts[0]))
-        slam = self._slam_at(found.pose)
+        slam = frames.slam_at(found.pose)
         assert isinstance(slam, ConsistentEstimator)  # noqa: S101 (others look nothing up)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
         slam.relocate(found.pose, found.covariance, ends=wall_points(found.rays))
-        self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
-        self._number_map(is_own=True)
+        scans = self.drive.cut(0)
+        frames.use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
+        frames.number_map(is_own=True)
         self._recovery = self._new_recovery()
-        again = self._process_again(step.observation for step in lookup.steps)
+        frames.process_again(scans)
         if self._recovery is not None:
-            self._recovery.arrive(lookup.steps, again.poses, lookup.place, found.rays)
-        self.odometry = compose(self.prior_frame, self.odometry)
+            self._recovery.arrive(lookup.place, found.rays)
+        self._set_odometry(compose(self.prior_frame, self.odometry))
+
+    def _forget(self) -> None:
+        """Forget the steps of the drives that nobody asks for any more."""
+        if self.keeps_drives or (self._lookup is not None and self._lookup.is_open):
+            return
+        present = self._frames.present
+        for drive, monitor in zip(self._frames.drives, present.monitors, strict=True):
+            first = min(monitor.first, present.renewal.first)
+            if self._recovery is not None and "wheels" in drive.scans[-1].observation:
+                first = min(first, self._recovery.begin)
+            drive.forget_before(first)
+
+    def _set_odometry(self, poses: FloatArray) -> None:
+        self.odometry = poses
         self.odometry.setflags(write=False)
+
+
+def copied(observations: Sequence[Observation]) -> tuple[Observation, ...]:
+    """Copies of the observations of a step, which their sender cannot change any more."""
+    copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
+    return cast("tuple[Observation, ...]", tuple(copies))

@@ -1,8 +1,6 @@
 """Draws ``map.png``: the map beside the truth."""
 
 import textwrap
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.output.map_picture import MapPicture
 from limslam_agent.output.style import hexadecimal, robot_colour
 from limslam_env.geometry import FloatArray
 
@@ -37,32 +36,6 @@ _HANDLE = 0.6
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
-
-
-@dataclass(frozen=True, eq=False)
-class MapPicture:
-    """Content of a picture of a map. All arrays are in the world frame, m."""
-
-    title: str  # Title above the picture
-    segments: FloatArray  # Walls of the map (N, 4)
-    # Estimated positions (n, 2) of each robot that go with the map, of one robot at least
-    estimated: Sequence[FloatArray]
-    # Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are
-    # unknown.
-    odometry: Sequence[FloatArray] = ()
-    # True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are
-    # unknown.
-    true_edges: FloatArray | None = None
-    true: Sequence[FloatArray] = ()
-    grid: GridView | None = (
-        None  # Occupancy grid, which is drawn behind everything. None draws no grid.
-    )
-    # Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the
-    # smoothed paths. Empty if ``estimated`` are those positions.
-    online: Sequence[FloatArray] = ()
-    remark: str = (
-        ""  # A sentence below the title, such as why the map may be wrong. Empty if there is none.
-    )
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:

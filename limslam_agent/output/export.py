@@ -143,7 +143,8 @@ def save_map(
     OSError
         If a file cannot be written.
     """
-    from limslam_agent.output.drawing import MapPicture, draw_map
+    from limslam_agent.output.drawing import draw_map
+    from limslam_agent.output.map_picture import MapPicture
 
     target = Path(folder)
     each = [pose[None] for pose in snapshot.poses] if path is None else path
@@ -152,7 +153,5 @@ def save_map(
         raise ValueError(f"{len(paths)} paths do not go with {len(snapshot.poses)} robots")
     target.mkdir(parents=True, exist_ok=True)
     write_map(target, snapshot)
-    positions = [each[:, :2] for each in paths]
-    draw_map(
-        target / "map.png", MapPicture(title, snapshot.segments, positions, grid=snapshot.grid)
-    )
+    picture = MapPicture.of(title, snapshot.segments, {"est": paths}, grid=snapshot.grid)
+    draw_map(target / "map.png", picture)

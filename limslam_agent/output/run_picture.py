@@ -12,8 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 
-from limslam_agent.output.drawing import MapPicture, finish_errors, legend, paint_map, path_colours
+from limslam_agent.output.drawing import finish_errors, legend, paint_map, path_colours
 from limslam_agent.output.finished_run import FinishedRun
+from limslam_agent.output.map_picture import MapPicture
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
@@ -99,7 +100,7 @@ def draw_run(
     of the world (k, 4), m, if they are known, its errors over time, and lines of text about it.
     """
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
-    picture = _map_of(run, true_edges, [poses[:, :2] for poses in run.odometry])
+    picture = _map_of(run, true_edges, run.odometry)
     paint_map(figure.add_subplot(grid[:, 0]), picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
@@ -215,18 +216,8 @@ def draw_comparison(
 def _map_of(
     run: FinishedRun, edges: FloatArray | None, odometry: Sequence[FloatArray] = ()
 ) -> MapPicture:
-    online, true, smoothed = (
-        [poses[:, :2] for poses in kind] for kind in (run.estimated, run.true, run.smoothed)
-    )
-    return MapPicture(
-        run.title,
-        run.segments,
-        smoothed or online,
-        odometry,
-        edges,
-        true,
-        online=online if smoothed else (),
-    )
+    paths = {"est": run.estimated, "true": run.true, "smoothed": run.smoothed, "odometry": odometry}
+    return MapPicture.of(run.title, run.segments, paths, true_edges=edges)
 
 
 def _plot(

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.finished_run import part_of
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
 FEW_POINTS = 10.0
@@ -56,18 +58,14 @@ def calibration_record(
     }
 
 
-def turn_records(turns: FloatArray | None) -> list[dict[str, float]]:
-    """For a ``result.json``: by what each beam is turned to the left, with its standard deviation
-    (n_beams, 2), rad.
-    """
-    rows = () if turns is None else np.degrees(turns).tolist()
-    return [{"deg": turn, "std_deg": std} for turn, std in rows]
-
-
 def record_of(
-    time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]
+    time: FloatArray,
+    paths: Sequence[FloatArray],
+    odometry: Sequence[FloatArray],
+    places: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
+    """The ``record`` of a ``result.json``: how long it is, where odometry ended, and what happened
+    to a robot that was lost.
 
     The driven distance is measured along ``paths``, poses (n, 3) of each robot: the true ones where
     they are known.
@@ -82,17 +80,26 @@ def record_of(
         "duration_s": float(np.ptp(time)),
         "driven_m": float(np.mean(driven)),
         "odometry_end": ends,
+        "places": [
+            {**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])}
+            for each in places
+        ],
     }
 
 
-def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """What happened to a robot that was lost, with the time since the first of all steps (n,),
-    s.
+def sensor_record(
+    sensor: RangeSensor | None, turns: FloatArray | None, range_std: float, robot: RobotSpec
+) -> dict[str, Any]:
+    """For a ``result.json``: what was found about a sensor, against one with a standard deviation
+    of the ranges, m, and by what each beam is turned to the left, with its standard deviation
+    (n_beams, 2), rad.
     """
-    return [
-        {**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])}
-        for each in places
-    ]
+    specified = RangeSensor(range_std, cone=robot.cone)
+    rows = () if turns is None else np.degrees(turns).tolist()
+    return {
+        "sensor": sensor and sensor.found(specified, robot.control_period),
+        "beam_turns": [{"deg": turn, "std_deg": std} for turn, std in rows],
+    }
 
 
 def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[str, float]:
@@ -208,7 +215,7 @@ def _sensor_line(found: Any, beams: Any) -> list[str]:
 
 def _turned_beams(turns: Any, beams: Any) -> list[str]:
     """Which of a robot's beams are turned against its settings by more than chance, as
-    :func:`turn_records` has it.
+    :func:`sensor_record` has it.
     """
     known = (
         zip(beams, turns, strict=False)

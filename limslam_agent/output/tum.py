@@ -3,7 +3,6 @@ qx qy qz qw``.
 """
 
 import math
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -40,13 +39,9 @@ def suffix_of(robot: int, robots: int) -> str:
     return f"_{robot}" if robots > 1 else ""
 
 
-def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[FloatArray]]) -> None:
-    """Write the paths (n, 3) of each robot, by their kinds: ``trajectory_est.tum``, or
-    ``trajectory_est_0.tum`` and so on of several robots.
-    """
-    for kind, each in paths.items():
-        for number, poses in enumerate(each):
-            write_tum(folder / f"trajectory_{kind}{suffix_of(number, len(each))}.tum", time, poses)
+def trajectory_file(kind: str, robot: int, robots: int) -> str:
+    """The name of the file of a robot's path of a kind, such as ``est``."""
+    return f"trajectory_{kind}{suffix_of(robot, robots)}.tum"
 
 
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:

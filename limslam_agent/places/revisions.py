@@ -3,7 +3,7 @@ is unknown.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from limslam_agent.grid.occupancy import GridView
@@ -68,24 +68,82 @@ class Unplaced:
 
 
 @dataclass(frozen=True, eq=False)
-class PlaceHistory:
-    """What happened to a robot that was lost during a run."""
+class Event:
+    """Something that has happened to a robot.
 
-    # Poses of earlier steps as they became known when the robot had found its place
-    revisions: list[Revision] = field(default_factory=list)
-    # The steps before which the robot was carried away, as far as it has found its place again
-    breaks: list[int] = field(default_factory=list)
-    # Parts of the drive, from a step to before another one, in one step of which the robot has
-    # slipped
-    slips: list[tuple[int, int]] = field(default_factory=list)
-    unplaced: Unplaced | None = (
-        None  # the local map of a robot that is still lost at the end; None otherwise
-    )
-    # When the robot was lost and found, and the matches that decided it
-    records: list[dict[str, Any]] = field(default_factory=list)
-    # Whether the robot may have been carried away before the end. The smoother, which believes the
-    # wheels, cannot see that.
+    Attributes
+    ----------
+    record
+        The event for ``result.json``.
+    revision
+        The poses of earlier steps as they are known since then.
+    carried_at
+        The step before which the robot was carried away.
+    slipped
+        The part of the drive, from a step to before another one, in one step of which the robot has
+        slipped.
+    refutes
+        Whether the place that was found before is wrong.
+    """
+
+    record: dict[str, Any]
+    revision: Revision | None = None
+    carried_at: int | None = None
+    slipped: tuple[int, int] | None = None
+    refutes: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceHistory:
+    """What happened to a robot that was lost during a run.
+
+    Attributes
+    ----------
+    events
+        When the robot was lost and found.
+    unplaced
+        The local map of a robot that is still lost at the end; None otherwise.
+    is_suspicious
+        Whether the robot may have been carried away before the end. The smoother, which believes
+        the wheels, cannot see that.
+    """
+
+    events: Sequence[Event] = ()
+    unplaced: Unplaced | None = None
     is_suspicious: bool = False
+
+    @property
+    def records(self) -> list[dict[str, Any]]:
+        """The events, and the matches that decided them, for ``result.json``."""
+        return [event.record for event in self.events]
+
+    @property
+    def revisions(self) -> list[Revision]:
+        """Poses of earlier steps as they became known when the robot had found its place."""
+        return [event.revision for event in self._unrefuted if event.revision is not None]
+
+    @property
+    def breaks(self) -> list[int]:
+        """The steps before which the robot was carried away, as far as it has found its place
+        again.
+        """
+        return [event.carried_at for event in self._unrefuted if event.carried_at is not None]
+
+    @property
+    def slips(self) -> list[tuple[int, int]]:
+        """Parts of the drive in which the robot has slipped."""
+        return [event.slipped for event in self._unrefuted if event.slipped is not None]
+
+    @property
+    def _unrefuted(self) -> list[Event]:
+        """The events with revisions that no later event refutes."""
+        found = list[Event]()
+        for event in self.events:
+            if event.refutes:
+                found.pop()
+            elif event.revision is not None:
+                found.append(event)
+        return found
 
     @property
     def placed(self) -> slice:
@@ -99,7 +157,7 @@ class PlaceHistory:
 
         Otherwise, it is ok.
         """
-        found = _UNCONFIRMED.get(self.records[-1]["event"], Status()) if self.records else Status()
+        found = _UNCONFIRMED.get(self.records[-1]["event"], Status()) if self.events else Status()
         return MAYBE_CARRIED if found.level == "ok" and self.is_suspicious else found
 
 

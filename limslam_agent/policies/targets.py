@@ -19,7 +19,7 @@ from limslam_agent.belief import Belief, Guess
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.grid.planner import Routes, routes
+from limslam_agent.grid.planner import Clearance, Routes, routes
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -81,16 +81,9 @@ def ways_from(
     ``targets``, ``extra`` and ``closed`` are those of :func:`~limslam_agent.grid.planner.routes`.
     """
     is_large = max(grid.values.shape) * grid.cell > _LARGE
-    return routes(
-        grid,
-        place,
-        robot.radius + _MARGIN,
-        _CLEARANCE,
-        targets=targets,
-        extra=extra,
-        closed=closed,
-        coast=_SIGHT_SHARE * robot.reach if is_large else math.inf,
-    )
+    coast = _SIGHT_SHARE * robot.reach if is_large else math.inf
+    clearance = Clearance(robot.radius + _MARGIN, _CLEARANCE, coast)
+    return routes(grid, place, clearance, targets=targets, extra=extra, closed=closed)
 
 
 def next_target(

@@ -8,7 +8,7 @@ events beside the filter.
 """
 
 import time
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,27 +18,28 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.slam.core.motion import motion_of
-from limslam_agent.status.chance import chance_off, in_words
+from limslam_agent.status.chance import chance_off, in_words, planar_covariance
 from limslam_agent.status.status import LEVELS, Status, judged
-from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.online_graph.online_graph import OnlineGraph
+    from limslam_agent.slam.map_graph.online import OnlineGraph
 
 
-class Estimate(NamedTuple):
-    """What is believed after an event."""
-
-    # pose, covariance: the pose (3,), and its covariance (3, 3)
-    pose: FloatArray
-    covariance: FloatArray
-    odometry: FloatArray  # the pose (3,) by odometry alone
-    level: int  # the status, as an index into ``status.LEVELS``
-    # slam_ms, job_ms: time that the step took, ms, and that of a job beside it
-    slam_ms: float
-    job_ms: float
+ESTIMATE = np.dtype(
+    [
+        # the pose (3,), m, m, rad, its covariance, and the pose by odometry alone
+        ("estimated", float, 3),
+        ("covariances", float, (3, 3)),
+        ("odometry", float, 3),
+        ("levels", np.int64),  # the status, as an index into ``status.LEVELS``
+        # time that the step took, ms, and that of a job beside it
+        ("slam_ms", float),
+        ("job_ms", float),
+    ]
+)
+"""What is believed after an event."""
 
 
 def is_handed_over(log: RecordedLog, config: AgentConfig, status: Status) -> bool:
@@ -73,7 +74,7 @@ class LogEstimate:
         if log.odometry is not None and config.smoothing is not None:
             # Importing the graph takes long.
             from limslam_agent.replay.smoothing import log_data
-            from limslam_agent.slam.online_graph.online_graph import OnlineGraph
+            from limslam_agent.slam.map_graph.online import OnlineGraph
 
             self._data = log_data(log, log.odometry, config.range_std)
             self._graph = OnlineGraph(self._data, log.start_pose, config.smoothing)
@@ -88,7 +89,7 @@ class LogEstimate:
             if self._passed is None or found.level != "ok":
                 return found
             return Status("unsure", breaks_in_words((self._passed,)))
-        covariance = np.diag([0.5, 0.5, 0.0]) * self._graph.position_std**2
+        covariance = planar_covariance(self._graph.position_std)
         chance = float(chance_off(covariance))
         return judged(chance, in_words(chance, covariance, "the position in the map"))
 
@@ -102,8 +103,10 @@ class LogEstimate:
         """Number of readings that were skipped."""
         return self._mapper.slam.refused_readings + self._refused
 
-    def step(self, observation: Observation) -> Estimate:
-        """Process the next event, by the filter as long as it is not lost, and by the graph."""
+    def step(self, observation: Observation) -> tuple[Any, ...]:
+        """Process the next event, by the filter as long as it is not lost, and by the graph.
+        Returns the values of an ``ESTIMATE``.
+        """
         mapper = self._mapper
         graph = self._graph
         spent = 0.0
@@ -146,6 +149,5 @@ class LogEstimate:
         else:
             pose = graph.pose
             covariance = graph.covariance
-        return Estimate(
-            pose, covariance, self._odometry, LEVELS.index(self.status.level), spent, job
-        )
+        level = LEVELS.index(self.status.level)
+        return pose, covariance, self._odometry, level, spent, job

@@ -17,8 +17,9 @@ ticks, and 55 of 60 wrong axles.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -46,9 +47,9 @@ _LEAST_SIGMAS = 2.2
 _CERTAIN_LEAD = 0.15
 _CERTAIN_SIGMAS = 5.0
 
-_SIDES = (Role.LEFT, Role.RIGHT)
+_OF_TICKS = {None, Dimension.TICKS}
 _FORWARD = {Role.SPEED, Role.DISTANCE}
-_MOTIONS = {*_FORWARD, Role.TURN_RATE, Role.YAW_RATE, Role.ANGLE, Role.YAW, Role.HEADING}
+_MOTIONS = {Role.TURN_RATE, Role.YAW_RATE, Role.ANGLE, Role.YAW, Role.HEADING}
 # Distance, and turn times the axle, by the travel of both wheels.
 _MOTION = np.array(((0.5, 0.5), (-1.0, 1.0)))
 
@@ -69,22 +70,15 @@ class Misreading:
     is_certain: bool
 
 
-def _turned(name: str) -> str:
-    """The name of a column that counts the other way."""
-    return name[1:] if name.startswith("-") else f"-{name}"
+class _Reading(NamedTuple):
+    """Another way to read the wheels of a log.
 
-
-@dataclass(frozen=True)
-class _Wiring:
-    """How the wheels of a log are read: what they say when it is put right, and the changes.
-
-    ``left`` and ``right`` are the true travel of both wheels, by factors of the columns left and
-    right; ``tick`` and ``axle`` are factors of the size of a tick and of the axle.
+    ``wheels`` has the true travel of the left and of the right wheel, by factors of the columns
+    left and right; ``tick`` and ``axle`` are factors of the size of a tick and of the axle.
     """
 
     words: str = ""
-    left: tuple[float, float] = (1.0, 0.0)
-    right: tuple[float, float] = (0.0, 1.0)
+    wheels: tuple[tuple[float, float], tuple[float, float]] = ((1.0, 0.0), (0.0, 1.0))
     tick: float = 1.0
     axle: float = 1.0
 
@@ -93,7 +87,7 @@ class _Wiring:
         the log has it, which its reader has turned as the wheels turn. What was travelled before
         the first row says nothing.
         """
-        left, right = self.tick * np.array((self.left, self.right)) @ wheels.T
+        left, right = self.tick * np.array(self.wheels) @ wheels.T
         distance = 0.5 * (left + right)
         turn = (right - left) / (self.axle * log.robot.axle)
         if log.yaw is not None:
@@ -105,82 +99,69 @@ class _Wiring:
         start = np.zeros(3)
         return np.vstack((start, se2.driven(travel[1:], log.robot.axle, start)))
 
-    def renamed(self, header: Sequence[str]) -> list[str]:
-        """The names of the columns of a table, with the wheels called what they are. A table of
-        distance and turn stays as it is if no signs of these mend it.
+    def columns(self, header: Sequence[str]) -> list[str]:
+        """The names of the columns of a table that is read so. A table of distance and turn stays
+        as it is if no signs of these mend it.
         """
-        by_motion = _MOTION @ np.array((self.left, self.right)) @ np.linalg.inv(_MOTION)
-        columns = [column_of(name) for name in header]
-        has_wheels = any(column.role in _SIDES for column in columns)
-        is_signs = not (has_wheels or by_motion[0, 1] or by_motion[1, 0])
-        names = []
-        for name, column in zip(header, columns, strict=True):
-            true_name = name
-            factor = 1.0
-            if column.role in _SIDES:
-                place = _SIDES.index(column.role)
-                factors = self.left[place], self.right[place]
-                true_side = int(factors[0] == 0.0)
-                factor = factors[true_side]
-                true_name = name.replace(column.role, _SIDES[true_side])
-            elif column.role in _MOTIONS and is_signs:
-                factor = np.diag(by_motion)[int(column.role not in _FORWARD)]
-            names.append(_turned(true_name) if factor < 0.0 else true_name)
-        return names
+        matrix = np.array(self.wheels)
+        signs = dict(zip((Role.LEFT, Role.RIGHT), matrix.sum(axis=0).tolist(), strict=True))
+        if not any(column_of(name).role in signs for name in header):
+            by_motion = _MOTION @ matrix @ np.linalg.inv(_MOTION)
+            ahead, turn = np.diag(by_motion)
+            signs = dict.fromkeys(_MOTIONS, turn) | dict.fromkeys(_FORWARD, ahead)
+            return list(header) if by_motion[0, 1] or by_motion[1, 0] else _signed(header, signs)
+        others = {Role.LEFT: Role.RIGHT, Role.RIGHT: Role.LEFT} if matrix[0, 0] == 0.0 else {}
+        return _signed(header, signs, others)
 
 
-_AS_READ = _Wiring()
-_WIRINGS = (
-    _AS_READ,
-    _Wiring("the right wheel counts the other way", right=(0.0, -1.0)),
-    _Wiring("the left wheel counts the other way", left=(-1.0, 0.0)),
-    _Wiring("both wheels count the other way", left=(-1.0, 0.0), right=(0.0, -1.0)),
-    _Wiring(
-        "left and right are exchanged, of the wheels or of the beams",
-        left=(0.0, 1.0),
-        right=(1.0, 0.0),
-    ),
-    _Wiring(
+_EXCHANGED = ((0.0, 1.0), (1.0, 0.0))
+_READINGS = (
+    _Reading(),
+    _Reading("the right wheel counts the other way", ((1.0, 0.0), (0.0, -1.0))),
+    _Reading("the left wheel counts the other way", ((-1.0, 0.0), (0.0, 1.0))),
+    _Reading("both wheels count the other way", ((-1.0, 0.0), (0.0, -1.0))),
+    _Reading("left and right are exchanged, of the wheels or of the beams", _EXCHANGED),
+    _Reading(
         "the robot looks the other way: its beams look back, or its wheels are exchanged and both "
         "count the other way",
-        left=(0.0, -1.0),
-        right=(-1.0, 0.0),
+        ((0.0, -1.0), (-1.0, 0.0)),
     ),
-    _Wiring(
+    _Reading(
         "the wheels are exchanged, and the true right one counts the other way",
-        left=(0.0, 1.0),
-        right=(-1.0, 0.0),
+        ((0.0, 1.0), (-1.0, 0.0)),
     ),
-    _Wiring(
+    _Reading(
         "the wheels are exchanged, and the true left one counts the other way",
-        left=(0.0, -1.0),
-        right=(1.0, 0.0),
+        ((0.0, -1.0), (1.0, 0.0)),
     ),
-    *(_Wiring(tick=size) for size in (0.25, 0.5, 2.0, 4.0)),
-    *(_Wiring(axle=size) for size in (2.0 / 3.0, 0.75, 4.0 / 3.0, 1.5)),
+    *(_Reading(tick=size) for size in (0.25, 0.5, 2.0, 4.0)),
+    *(_Reading(axle=size) for size in (2.0 / 3.0, 0.75, 4.0 / 3.0, 1.5)),
 )
 # Factors around the best size, by which it is refined. A size that is so near to the best one is
 # left as it is.
 _NEAR_SIZES = np.arange(0.86, 1.141, 0.02)
 _NEARLY_SAME = 0.07
 
-# Signs of x, y and heading, and a turn of the heading, rad, of another way to read poses, by the
+# Signs of x, y and heading, and a turn of the heading, rad, of another way to read poses, with the
 # question to the owner of the log.
-_OF_POSES: dict[str, tuple[tuple[float, float, float], float]] = {
-    "with left and right exchanged: are the beams in the wrong order, or is odometry mirrored?": (
+_READINGS_OF_POSES = (
+    (
+        "with left and right exchanged: are the beams in the wrong order, or is odometry mirrored?",
         (1.0, -1.0, -1.0),
         0.0,
     ),
-    "if the beams look the other way: is the sensor mounted backwards, or ahead negative?": (
+    (
+        "if the beams look the other way: is the sensor mounted backwards, or ahead negative?",
         (1.0, 1.0, 1.0),
         math.pi,
     ),
-    "with a heading of the other sign: does the heading of odometry count clockwise?": (
+    (
+        "with a heading of the other sign: does the heading of odometry count clockwise?",
         (1.0, 1.0, -1.0),
         0.0,
     ),
-    "with y of the other sign: does y of odometry point to the right?": ((1.0, -1.0, 1.0), 0.0),
-}
+    ("with y of the other sign: does y of odometry point to the right?", (1.0, -1.0, 1.0), 0.0),
+)
 
 
 def misread(log: RecordedLog, metres_per_tick: float = 1.0) -> Misreading | None:
@@ -203,29 +184,32 @@ def misread(log: RecordedLog, metres_per_tick: float = 1.0) -> Misreading | None
     if odometry is None:
         return None
     travel = np.hypot(*np.diff(odometry[:, :2], axis=0, prepend=odometry[:1, :2]).T)
-    others = [odometry * signs + (0.0, 0.0, turn) for signs, turn in _OF_POSES.values()]
-    found = _best([odometry, *others], log, _stretches(travel))
-    if found is None:
+    others = [odometry * signs + (0.0, 0.0, turn) for _, signs, turn in _READINGS_OF_POSES]
+    better = _better([odometry, *others], log, _stretches(travel))
+    if better is None:
         return None
-    question, (signs, _) = list(_OF_POSES.items())[found.place - 1]
-    words = f"the ranges fit odometry better {question}"
-    remedy = _remedy("", log.header, _signed(log, signs))
-    return Misreading(words + remedy, is_certain=False)
+    question, (_, y, heading), _ = _READINGS_OF_POSES[better[0] - 1]
+    signs = {Role.Y: y, Role.HEADING: heading, Role.YAW: heading}
+    has_heading = any(column_of(name).role in {Role.HEADING, Role.YAW} for name in log.header)
+    columns = _signed(log.header, signs if has_heading else {})
+    remedy = _remedy("", log.header, columns)
+    return Misreading(f"the ranges fit odometry better {question}{remedy}", is_certain=False)
 
 
-def _signed(log: RecordedLog, signs: Sequence[float]) -> list[str]:
-    """The names of the columns of a table of poses with other signs of x, y and heading. They stay
-    as they are if the heading has no column of its own.
-    """
-    roles = [column_of(name).role for name in log.header]
-    if not {Role.HEADING, Role.YAW}.intersection(roles):
-        return list(log.header)
-    sign_of = dict(zip((Role.X, Role.Y, Role.HEADING), signs, strict=True))
-    sign_of[Role.YAW] = signs[2]
-    return [
-        _turned(name) if role is not None and sign_of.get(role, 1.0) < 0.0 else name
-        for name, role in zip(log.header, roles, strict=True)
-    ]
+def _signed(
+    header: Sequence[str],
+    signs: Mapping[Role, float],
+    others: Mapping[Role, Role] = MappingProxyType({}),
+) -> list[str]:
+    """The names of columns with the signs and with the other names of their roles."""
+    names = []
+    for name in header:
+        role = column_of(name).role
+        own = name if role is None else name.replace(role, others.get(role, role))
+        is_turned = role is not None and signs.get(role, 1.0) < 0.0
+        turned = own[1:] if own.startswith("-") else f"-{own}"
+        names.append(turned if is_turned else own)
+    return names
 
 
 def _remedy(mark: str, header: Sequence[str], names: Sequence[str]) -> str:
@@ -239,25 +223,28 @@ def _misread_wheels(
     log: RecordedLog, wheels: FloatArray, metres_per_tick: float
 ) -> Misreading | None:
     stretches = _stretches(np.abs(wheels).mean(axis=1))
-    found = _best([each.path(log, wheels) for each in _WIRINGS], log, stretches)
-    if found is None:
+    better = _better([each.path(log, wheels) for each in _READINGS], log, stretches)
+    if better is None:
         return None
-    wiring = _WIRINGS[found.place]
-    if wiring.words:
-        remedy = _remedy(":", log.header, wiring.renamed(log.header))
-        words = f"the ranges fit the wheels far better if {wiring.words}{remedy}"
-        return Misreading(words, found.is_certain)
-    is_tick = wiring.tick != 1.0
-    size = wiring.tick if is_tick else wiring.axle
-    near = [
-        _Wiring(tick=size * factor) if is_tick else _Wiring(axle=size * factor)
-        for factor in _NEAR_SIZES
-    ]
-    shares = [_share(_counts(each.path(log, wheels), log, stretches)) for each in near]
-    best = float(_NEAR_SIZES[int(np.argmax(np.convolve(shares, np.ones(3), "same")))])
-    size *= 1.0 if is_tick and abs(best - 1.0) < _NEARLY_SAME else best
-    words = _of_size(log, size, metres_per_tick) if is_tick else _of_axle(log, size)
-    return Misreading(f"the ranges fit the wheels far better if {words}", found.is_certain)
+    number, is_certain = better
+    reading = _READINGS[number]
+    if reading.words:
+        words = reading.words + _remedy(":", log.header, reading.columns(log.header))
+    else:
+        name = "axle" if reading.tick == 1.0 else "tick"
+        size = getattr(reading, name)
+        shares = []
+        for factor in _NEAR_SIZES:
+            near = reading._replace(**{name: size * factor})
+            ending, met = _counts(near.path(log, wheels), log, stretches).sum(axis=0)
+            shares.append(ending / max(met, 1.0))
+        best = float(_NEAR_SIZES[int(np.argmax(np.convolve(shares, np.ones(3), "same")))])
+        if name == "axle":
+            words = _of_axle(log, size * best)
+        else:
+            size *= 1.0 if abs(best - 1.0) < _NEARLY_SAME else best
+            words = _of_size(log, size, metres_per_tick)
+    return Misreading(f"the ranges fit the wheels far better if {words}", is_certain)
 
 
 def _of_size(log: RecordedLog, size: float, metres_per_tick: float) -> str:
@@ -266,10 +253,7 @@ def _of_size(log: RecordedLog, size: float, metres_per_tick: float) -> str:
     if not log.header:
         return fact
     columns = [column_of(name) for name in log.header]
-    is_scaled = any(
-        each.role is Role.LEFT and each.dimension in (None, Dimension.TICKS) for each in columns
-    )
-    if is_scaled:
+    if any(each.role is Role.LEFT and each.dimension in _OF_TICKS for each in columns):
         return f"{fact}: --metres-per-tick {size * metres_per_tick:.3g} reads the table so"
     return f"{fact}: are the columns of the travel or of the speed in another unit?"
 
@@ -285,16 +269,11 @@ def _of_axle(log: RecordedLog, size: float) -> str:
     return f"{fact}: --axle {size * log.robot.axle:.3g} reads the table so"
 
 
-class _Found(NamedTuple):
-    place: int  # of the path that fits best
-    is_certain: bool
-
-
-def _best(
-    paths: Sequence[FloatArray], log: RecordedLog, stretches: list["_Stretch"]
-) -> _Found | None:
-    """The path (n, 3) that the ranges fit clearly better than the first one, in the stretches in
-    which both differ.
+def _better(
+    paths: Sequence[FloatArray], log: RecordedLog, stretches: IntArray
+) -> tuple[int, bool] | None:
+    """The number of the path (n, 3) that the ranges fit clearly better than the first one, in the
+    stretches in which both differ, and whether that is certain.
     """
     first, *others = paths
     counts_of_first = _counts(first, log, stretches)
@@ -305,23 +284,15 @@ def _best(
         rows = is_met & _differ(first, path, stretches)
         shares, of_first = (each[rows, 0] / each[rows, 1] for each in (counts, counts_of_first))
         leads.append(shares - of_first)
-    place = int(np.argmax([each.sum() for each in leads]))
-    found = leads[place]
-    if len(found) < _FEWEST_EVENTS:
+    number = int(np.argmax([each.sum() for each in leads]))
+    best = leads[number]
+    if len(best) < _FEWEST_EVENTS:
         return None
-    lead = float(found.mean())
-    error = float(found.std()) / math.sqrt(len(found))
+    lead = float(best.mean())
+    error = float(best.std()) / math.sqrt(len(best))
     if lead <= max(_LEAST_LEAD, _LEAST_SIGMAS * error):
         return None
-    return _Found(place + 1, lead > max(_CERTAIN_LEAD, _CERTAIN_SIGMAS * error))
-
-
-class _Stretch(NamedTuple):
-    """The events on either side of an event of a log, by their borders."""
-
-    first: int
-    middle: int
-    last: int
+    return number + 1, lead > max(_CERTAIN_LEAD, _CERTAIN_SIGMAS * error)
 
 
 class _Rays(NamedTuple):
@@ -337,42 +308,41 @@ class _Rays(NamedTuple):
     def ends(self) -> FloatArray:
         """Where surfaces were met (h, 2), m."""
         starts = self.starts[self.is_hit]
-        lengths = self.lengths[self.is_hit]
         directions = np.column_stack((np.cos(starts[:, 2]), np.sin(starts[:, 2])))
-        return np.asarray(starts[:, :2] + lengths[:, None] * directions)
+        return np.asarray(starts[:, :2] + self.lengths[self.is_hit, None] * directions)
 
 
-def _stretches(travel: FloatArray) -> list[_Stretch]:
-    """Stretches of a log, by the travel (n,) to each event, m, which all readings have alike."""
+def _stretches(travel: FloatArray) -> IntArray:
+    """Stretches (s, 3) of a log: the first event, the middle one and the last one, by the travel
+    (n,) to each event, m, which all readings have alike.
+    """
     driven = np.cumsum(travel)
     apart = max(_APART, driven[-1] / _MOST_EVENTS)
     middles = np.arange(_STRETCH, driven[-1] - _STRETCH, apart)
-    borders = np.searchsorted(driven, middles[:, None] + np.array((-_STRETCH, 0.0, _STRETCH)))
-    return [_Stretch(*each) for each in borders.tolist()]
+    around = middles[:, None] + np.array((-_STRETCH, 0.0, _STRETCH))
+    return np.asarray(np.searchsorted(driven, around), dtype=np.int64)
 
 
-def _differ(first: FloatArray, path: FloatArray, stretches: list["_Stretch"]) -> BoolArray:
+def _differ(first: FloatArray, path: FloatArray, stretches: IntArray) -> BoolArray:
     """In which stretches (s,) the readings show which of two paths (n, 3) the robot has driven."""
-    borders = np.array(stretches, dtype=np.int64).reshape(-1, 3)
-    is_apart: BoolArray = np.zeros(len(borders), dtype=np.bool_)
-    for ends in (borders[:, 0], borders[:, 2]):
-        one, other = (se2.between(each[borders[:, 1]], each[ends]) for each in (first, path))
-        apart = np.abs(one - other)
+    is_apart: BoolArray = np.zeros(len(stretches), dtype=np.bool_)
+    for ends in (stretches[:, 0], stretches[:, 2]):
+        one, other = (se2.between(each[stretches[:, 1]], each[ends]) for each in (first, path))
+        apart = np.hypot(*(one - other)[:, :2].T)
         turned = np.abs(se2.wrap_angle(one[:, 2] - other[:, 2]))
-        is_apart |= np.hypot(apart[:, 0], apart[:, 1]) + _USUAL_RANGE * turned > _TOLERANCE
+        is_apart |= apart + _USUAL_RANGE * turned > _TOLERANCE
     return is_apart
 
 
-def _counts(path: FloatArray, log: RecordedLog, stretches: list[_Stretch]) -> FloatArray:
+def _counts(path: FloatArray, log: RecordedLog, stretches: IntArray) -> FloatArray:
     """How many readings end at a surface of the other side, and how many meet one (s, 2), at each
     stretch.
     """
     counts = np.zeros((len(stretches), 2))
-    for stretch, (first, middle, last) in enumerate(stretches):
+    for stretch, (first, middle, last) in enumerate(stretches.tolist()):
         before = _rays(path, log, np.arange(first, middle + 1))
         after = _rays(path, log, np.arange(middle + 1, last + 1))
-        for rays, others in ((before, after), (after, before)):
-            counts[stretch] += _met(rays, others.ends)
+        counts[stretch] = np.add(_met(before, after.ends), _met(after, before.ends))
     return counts
 
 
@@ -407,9 +377,3 @@ def _met(rays: _Rays, points: FloatArray) -> tuple[int, int]:
     beyond = rays.lengths - np.where(is_met, along, np.inf).min(axis=1)
     ending = int(np.count_nonzero(rays.is_hit & (np.abs(beyond) < _TOLERANCE)))
     return ending, ending + int(np.count_nonzero(beyond > _TOLERANCE))
-
-
-def _share(counts: FloatArray) -> float:
-    """The score of all stretches together."""
-    ending, met = counts.sum(axis=0)
-    return float(ending / max(met, 1.0))

@@ -19,9 +19,9 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.graph.key_poses import LogData
-    from limslam_agent.slam.graph.smooth import GraphResult
     from limslam_agent.slam.line_graph.smoother import FilteredRun
+    from limslam_agent.slam.map_graph.key_poses import LogData
+    from limslam_agent.slam.map_graph.stages import GraphResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +45,23 @@ class SelfCalibration:
         """Values for ``result.json``: missing turn per metre, size of the wheels and of the axle,
         or size of the wheels, scale and drift of the heading, with standard deviations.
         """
+        degrees = math.degrees(1.0)
         if isinstance(self.factors, HeadingCalibration):
-            stds = HeadingCalibration(*np.sqrt(np.diag(self.covariance)).tolist())
-            return {
-                "self_calibration_scale": 1.0 + self.factors.size,
-                "self_calibration_scale_std": stds.size,
-                "self_calibration_yaw_scale": 1.0 + self.factors.scale,
-                "self_calibration_yaw_scale_std": stds.scale,
-                "self_calibration_yaw_drift_deg_per_s": math.degrees(self.factors.drift),
-                "self_calibration_yaw_drift_std_deg_per_s": math.degrees(stds.drift),
-            }
-        turn = np.array([-1.0, 1.0, 0.0]) / self.axle
-        size = np.array([0.5, 0.5, 0.0])
-        values = np.array(self.factors)
-        return {
-            "self_calibration_turn_deg_per_m": math.degrees(turn @ values),
-            "self_calibration_turn_std_deg_per_m": math.degrees(
-                math.sqrt(turn @ self.covariance @ turn)
-            ),
-            "self_calibration_scale": 1.0 + float(size @ values),
-            "self_calibration_scale_std": math.sqrt(size @ self.covariance @ size),
-            "self_calibration_axle": 1.0 + self.factors.axle,
-            "self_calibration_axle_std": math.sqrt(self.covariance[2, 2]),
-        }
+            forms = ("scale{}", "yaw_scale{}", "yaw_drift{}_deg_per_s")
+            usual = (1.0, 1.0, 0.0)
+            by_factors = np.diag([1.0, 1.0, degrees])
+        else:
+            forms = ("turn{}_deg_per_m", "scale{}", "axle{}")
+            usual = (0.0, 1.0, 1.0)
+            turn = degrees / self.axle
+            by_factors = np.array([[-turn, turn, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
+        values = usual + by_factors @ np.array(self.factors)
+        stds = np.sqrt(np.diag(by_factors @ self.covariance @ by_factors.T))
+        figures = {}
+        for form, value, std in zip(forms, values.tolist(), stds.tolist(), strict=True):
+            figures[f"self_calibration_{form.format('')}"] = value
+            figures[f"self_calibration_{form.format('_std')}"] = std
+        return figures
 
     @property
     def words(self) -> str:
@@ -90,26 +84,20 @@ class Smoothed:
     """What is known at the end of a log."""
 
     poses: FloatArray  # (n, 3) of all events
-    figures: dict[
-        str, Any
-    ]  # for ``result.json``: counts of loops, and what odometry was found to be wrong by
-    # For ``loops.json``: each loop that was found, with the reason why it was kept or left out.
-    # None from the line smoother, which finds loops by merging lines.
-    loops: list[dict[str, Any]] | None
+    # For ``result.json``: counts of loops, and what odometry was found to be wrong by
+    figures: dict[str, Any]
     seconds: float  # CPU time of the smoothing, s
-    covariances: FloatArray | None = (
-        None  # (n, 3, 3), of the poses; None from the graph of local maps
-    )
-    # Whether the smoothed path and map can be trusted. None from the graph, whose status is in
-    # ``figures``.
-    status: Status | None = None
     # What two logs are joined from: the graph of local maps, or the run of the line smoother
-    basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
-    # What the graph of local maps has used of the log. None from the line smoother.
+    basis: "GraphResult | FilteredRun" = field(repr=False)
+    # Of the line smoother: covariances of the poses (n, 3, 3), and whether the smoothed path and
+    # map can be trusted. The status of the graph is in ``figures``.
+    covariances: FloatArray | None = None
+    status: Status | None = None
+    # Of the graph of local maps: what it has used of the log, and by their names files of JSON:
+    # each loop with the reason why it was kept or left out, and the times of the key poses and of
+    # the middles of the local maps. The line smoother finds loops by merging lines.
     data: "LogData | None" = field(default=None, repr=False)
-    # For ``graph.json``: the times of the key poses and of the middles of the local maps. None from
-    # the line smoother.
-    graph: dict[str, list[float]] | None = None
+    tables: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +128,8 @@ class Replay:
     job_ms: FloatArray
     wall_clock: float
     places: PlaceHistory  # what happened when the robot was lost
-    smoothed: Smoothed | None = (
-        None  # what is known at the end of the log. None if the settings do not smooth it.
-    )
+    # What is known at the end of the log. None if the settings do not smooth it.
+    smoothed: Smoothed | None = None
     # The event from which on the online graph gives the estimate, since the filter is lost. None if
     # there is none.
     handed_over: int | None = None

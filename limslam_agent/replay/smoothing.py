@@ -23,13 +23,13 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.chunk_graph import KEPT
-from limslam_agent.slam.graph.key_poses import LogData, odometry_trajectory
-from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
-from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
-from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.slam.map_graph.chunk_graph import KEPT
+from limslam_agent.slam.map_graph.key_poses import LogData, odometry_trajectory
+from limslam_agent.slam.map_graph.point_links import PointCloud, point_cloud
+from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
+from limslam_agent.slam.map_graph.stages import GraphResult, Report, rounds
+from limslam_agent.slam.map_graph.wall_lines import lines_in
 from limslam_agent.status.status import lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
@@ -61,26 +61,20 @@ def smoothed_by_graph(
     landmarks = draw_walls(
         point_cloud(found.keys, found.trajectory, data.range_std), data.range_std
     )
-    seconds = time.process_time() - begin
-    figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
-    graph = _graph(found, log)
     smoothed = Smoothed(
         found.poses,
-        figures,
-        loop_records(found, log.time),
-        seconds,
-        graph=graph,
-        basis=found,
+        {**_figures(found), **_reversing(recorded, data), **signals.figures},
+        time.process_time() - begin,
+        found,
         data=data,
+        tables={"loops.json": loop_records(found, log.time), "graph.json": _times(found, log.time)},
     )
-    grid = draw_grid([replay], [found.poses])
-    segments = ends_of(landmarks)
     # The graph takes the sensor to be as specified, whatever the filter has found.
     return replace(
         replay,
         landmarks=landmarks,
-        segments=segments,
-        grid=grid,
+        segments=ends_of(landmarks),
+        grid=draw_grid([replay], [found.poses]),
         smoothed=smoothed,
         beam_turns=None,
         sensor=None,
@@ -141,18 +135,15 @@ def draw_walls(cloud: PointCloud, range_std: float) -> list[Landmark]:
     spans = np.array([[0, len(cloud.places)]])
     lines = lines_in(cloud.places, cloud.normals, cloud.good, spans, _DRAWN_LINES)
     borders = np.searchsorted(lines.lines, np.arange(len(lines.angles) + 1))
-    return [
-        _landmark(cloud.places[lines.points[low:high]], range_std, number)
-        for number, (low, high) in enumerate(pairwise(borders))
-    ]
-
-
-def _landmark(places: FloatArray, range_std: float, number: int) -> Landmark:
-    """The least-squares line through places (k, 2), and its covariance."""
-    fit = fit_line(places, 1.0)
-    std = max(range_std, float(np.std(distance(fit.line, places))))
-    r, theta = fit.line.tolist()
-    return Landmark(r, theta, std**2 * fit.covariance, fit.ends, len(places), number)
+    landmarks = []
+    for number, (low, high) in enumerate(pairwise(borders)):
+        places = cloud.places[lines.points[low:high]]
+        fit = fit_line(places, 1.0)
+        std = max(range_std, float(np.std(distance(fit.line, places))))
+        r, theta = fit.line.tolist()
+        covariance = std**2 * fit.covariance
+        landmarks.append(Landmark(r, theta, covariance, fit.ends, len(places), number))
+    return landmarks
 
 
 def smoothed_by_lines(
@@ -203,19 +194,25 @@ def smoothed_by_lines(
     found = smooth_run(run, config, placed)
     if found is None:
         return replay
-    poses = found.poses[:, 0]
     status = smoothed_status(
         found.contradictions, found.covariances, lost_since=lost_since(log.time, placed)
     )
     if status.level == "ok":
         status = places.doubt
-    seconds = time.process_time() - begin
-    basis = run.synchronous.until(placed)
-    figures = _line_figures(found, has_heading=run.has_headings)
-    smoothed = Smoothed(poses, figures, None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot, found.ranges)
+    smoothed = Smoothed(
+        found.poses[:, 0],
+        _line_figures(found, has_heading=run.has_headings),
+        time.process_time() - begin,
+        run.synchronous.until(placed),
+        covariances=found.covariances[:, 0],
+        status=status,
+    )
     return replace(
-        replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed
+        replay,
+        landmarks=found.landmarks,
+        segments=found.segments,
+        grid=draw_grid([replay], [found.read_at[:placed, 0]], found.robot, found.ranges),
+        smoothed=smoothed,
     )
 
 
@@ -245,22 +242,24 @@ def draw_grid(
 
 def _line_figures(found: SmoothedRun, *, has_heading: bool) -> dict[str, Any]:
     known = found.calibration
-    *errors, bias, scale = [0.0] * 5 if known is None else known[0].tolist()
+    one, two, three, bias, scale = [0.0] * 5 if known is None else known[0].tolist()
     if has_heading:
-        size, scale, drift = errors
         figures = {
-            "smoothed_wheels": 1.0 + size,
-            "smoothed_yaw_scale": 1.0 + scale,
-            "smoothed_yaw_drift_deg_per_s": math.degrees(drift),
+            "smoothed_wheels": 1.0 + one,
+            "smoothed_yaw_scale": 1.0 + two,
+            "smoothed_yaw_drift_deg_per_s": math.degrees(three),
         }
     else:
-        left, right, axle = errors
         figures = {
-            "smoothed_left_wheel": 1.0 + left,
-            "smoothed_right_wheel": 1.0 + right,
-            "smoothed_axle": 1.0 + axle,
+            "smoothed_left_wheel": 1.0 + one,
+            "smoothed_right_wheel": 1.0 + two,
+            "smoothed_axle": 1.0 + three,
         }
-    return {**figures, "smoothed_range_bias_m": bias, "smoothed_range_scale": 1.0 + scale}
+    return {
+        **figures,
+        "smoothed_range_bias_m": bias,
+        "smoothed_range_scale": 1.0 + scale,
+    }
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:
@@ -279,17 +278,18 @@ def _figures(found: GraphResult) -> dict[str, Any]:
     }
 
 
-def _reversing_figures(recorded: LogData, data: LogData) -> dict[str, Any]:
+def _reversing(recorded: LogData, data: LogData) -> dict[str, Any]:
     metres, places = reversed_distance(recorded, data)
     return {"smoothed_reversed_m": metres, "smoothed_reversed_places": places}
 
 
-def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:
-    places = {
-        "key_pose_times": found.keys.first_event,
-        "local_map_times": found.keys.first_event[found.chunk_keys],
+def _times(found: GraphResult, time: FloatArray) -> dict[str, list[float]]:
+    """Times of the key poses and of the middles of the local maps, s."""
+    keys = time[found.keys.first_event]
+    return {
+        "key_pose_times": keys.tolist(),
+        "local_map_times": keys[found.chunk_keys].tolist(),
     }
-    return {name: log.time[events].tolist() for name, events in places.items()}
 
 
 def loop_records(found: GraphResult, time: FloatArray) -> list[dict[str, Any]]:

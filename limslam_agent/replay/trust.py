@@ -10,21 +10,23 @@ seen.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import visit_counts
-from limslam_agent.slam.graph.posterior import position_covariance
-from limslam_agent.slam.graph.smooth import GraphResult
+from limslam_agent.slam.map_graph.agreement import visit_counts
+from limslam_agent.slam.map_graph.posterior import position_covariance
+from limslam_agent.slam.map_graph.stages import GraphResult
 from limslam_agent.status.chance import (
-    FAR,
     LIMIT,
     chance_mistaken,
     chance_path_off,
     either,
+    in_words,
+    planar_covariance,
     rate_evidence,
 )
 from limslam_agent.status.status import Status, judged
@@ -77,48 +79,43 @@ class PathSignals:
     def status(self) -> Status:
         """By the chance that the path is off, and whether its parts are tied together."""
         far = chance_path_off(self.covariance)
-        mistaken = chance_mistaken(self.evidence)
+        # That places were taken for each other, by the points that other visits contradict
+        seen = self.points * (self.confirmed + self.contradicted)
+        evidence = rate_evidence(self.points * self.contradicted, seen, _RIGHT, _WRONG)
+        mistaken = chance_mistaken(evidence)
         chance = either(far, mistaken)
+        if self.untied or self.doubtful_times:
+            chance = max(chance, 0.5)
         reasons = []
         if self.untied:
-            times = ", ".join(f"{time:.0f}" for time in self.untied[:3])
             reasons.append(
-                f"odometry jumps or has a gap at {times} s, and too few places that were seen "
-                "before and after it tie both parts together"
+                f"odometry jumps or has a gap at {_seconds(self.untied)}, and too few places that "
+                "were seen before and after it tie both parts together"
             )
-            chance = max(chance, 0.5)
         if mistaken >= LIMIT:
             reasons.append(
                 f"visits of a place contradict each other at {self.contradicted_share:.0%} of the "
                 "points"
             )
         if self.doubtful_times:
-            times = ", ".join(f"{time:.0f}" for time in self.doubtful_times[:3])
             reasons.append(
-                f"visits contradict what was seen more often than they confirm it after {times} s"
+                "visits contradict what was seen more often than they confirm it after "
+                f"{_seconds(self.doubtful_times)}"
             )
-            chance = max(chance, 0.5)
         if far >= LIMIT or not reasons:
             where = "" if self.loose is None else " from {:.0f} to {:.0f} s".format(*self.loose)
-            reasons.append(
-                f"the chance that the path is more than {FAR:g} m off is {far:.0%} (standard "
-                f"deviation {self.position_std:.2f} m), as no recognised place holds it{where}"
-            )
+            words = in_words(far, planar_covariance(self.position_std), "the path")
+            reasons.append(f"{words}, as no recognised place holds it{where}")
         return judged(chance, ", ".join(reasons))
-
-    @property
-    def evidence(self) -> float:
-        """That places were taken for each other, by the points that other visits contradict."""
-        seen = self.points * (self.confirmed + self.contradicted)
-        return rate_evidence(self.points * self.contradicted, seen, _RIGHT, _WRONG)
 
     @property
     def figures(self) -> dict[str, Any]:
         """For ``result.json``."""
+        status = self.status
         return {
-            "smoothed_status": self.status.level,
-            "smoothed_status_reason": self.status.reason,
-            "smoothed_status_chance": self.status.chance,
+            "smoothed_status": status.level,
+            "smoothed_status_reason": status.reason,
+            "smoothed_status_chance": status.chance,
             "smoothed_position_std_m": self.position_std,
             "smoothed_points_per_m": self.points_per_metre,
             "smoothed_contradicted_share": self.contradicted_share,
@@ -149,20 +146,27 @@ def path_signals(
         The key pose at which a second log begins; zero if there is none.
     """
     keys = found.keys
-    trajectory = found.trajectory
-    visits = visit_counts(keys, trajectory, config, sensor[0])
+    path = found.trajectory
+    loops = found.relations[0]
+    visits = visit_counts(keys, path, config, sensor[0])
     times = time[keys.first_event]
-    loose = longest_loose(keys.key_travel, found.relations[0])
+    loose = times[list(longest_loose(keys.key_travel, loops))].tolist()
+    breaks = keys.breaks[keys.breaks != seam]
     return PathSignals(
         driven=keys.driven,
         points=len(keys.point_key),
         confirmed=visits.shares[0],
         contradicted=visits.shares[1],
-        covariance=position_covariance(keys, trajectory, found.relations, config, sensor[1]),
-        loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
+        covariance=position_covariance(keys, path, found.relations, config, sensor[1]),
+        loose=None if seam else tuple(loose),
         doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
-        untied=tuple(times[_untied(keys.breaks[keys.breaks != seam], found.relations[0])].tolist()),
+        untied=tuple(times[_untied(breaks, loops)].tolist()),
     )
+
+
+def _seconds(times: Sequence[float]) -> str:
+    """The first few times, s."""
+    return ", ".join(f"{time:.0f}" for time in times[:3]) + " s"
 
 
 def _untied(breaks: IntArray, ends: IntArray) -> IntArray:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
-from limslam_agent.slam.least_squares.normal_equations import DegenerateError
+from limslam_agent.slam.graph.graph import DegenerateError
 from limslam_agent.slam.line_graph.problem import ASIDE_STD, Problem, make_problem, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_again, solve_labels
 from limslam_env.geometry import BoolArray, FloatArray, IntArray

@@ -17,25 +17,16 @@ from limslam_agent.output.export import (
     map_content,
     plain,
     write_covariances,
-    write_json,
-    write_map,
 )
-from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
-from limslam_agent.output.provenance import versions
-from limslam_agent.output.summary import (
-    calibration_record,
-    place_records,
-    record_of,
-    run_cost,
-    turn_records,
-)
-from limslam_agent.output.tum import write_paths
+from limslam_agent.output.finished_run import COVARIANCES, WORLD, run_title
+from limslam_agent.output.map_picture import MapPicture
+from limslam_agent.output.results import Results, write_results
+from limslam_agent.output.summary import calibration_record, record_of, run_cost, sensor_record
 from limslam_agent.runs.optimum import offline_optimum
 from limslam_agent.runs.policies import TOUR
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import (
     final_status_scores,
     lost_since,
@@ -304,37 +295,41 @@ def cost(episode: Episode) -> dict[str, float]:
 def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     """Write a run's folder and return the content of its ``result.json``."""
     smoothed = episode.smoothed
-    _write_log(folder / "log.npz", episode)
+    final = episode.final_map
     paths = {"true": episode.true, "est": episode.estimated, "odometry": episode.odometry}
     if smoothed is not None:
         paths["smoothed"] = smoothed.poses
-    write_paths(
-        folder, episode.time, {kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()}
-    )
+    shown = paths if smoothed is not None else {**paths, "est": final.poses}
+    placed = {
+        kind: [*poses[:, : episode.placed_robots].swapaxes(0, 1)] for kind, poses in shown.items()
+    }
+    _write_log(folder / "log.npz", episode)
     write_covariances(
         folder / COVARIANCES,
         episode.covariances,
         None if smoothed is None else smoothed.covariances,
     )
     (folder / WORLD).write_text(world_toml(episode.world), encoding="utf-8", newline="\n")
-    write_map(folder, episode.final_map)
-    if smoothed is not None:
-        write_json(folder / "map_online.json", map_content(episode.online_map))
-    if episode.places.unplaced is not None:
-        write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
-    _draw(folder / "map.png", episode)
-    result = {
-        "status": "interrupted" if episode.is_interrupted else "finished",
-        "metrics": score(episode),
-        "cost": cost(episode),
-        "config": _config(episode),
-        "record": _record(episode),
-        "closures": [asdict(closure) for closure in episode.closures],
-        "versions": versions(),
-        "seed": episode.config.seed,
-    }
-    write_json(folder / "result.json", result)
-    return result
+    results = Results(
+        times=[episode.time] * episode.config.robots,
+        paths={kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()},
+        final=final,
+        picture=MapPicture.of(
+            title_of(episode.config), final.segments, placed, true_edges=episode.world.edges
+        ),
+        content={
+            "status": "interrupted" if episode.is_interrupted else "finished",
+            "metrics": score(episode),
+            "cost": cost(episode),
+            "config": _config(episode),
+            "record": _record(episode),
+            "closures": [asdict(closure) for closure in episode.closures],
+            "seed": episode.config.seed,
+        },
+        unplaced=episode.places.unplaced,
+        tables={} if smoothed is None else {"map_online.json": map_content(episode.online_map)},
+    )
+    return write_results(folder, results)
 
 
 def _config(episode: Episode) -> dict[str, Any]:
@@ -362,16 +357,10 @@ def _config(episode: Episode) -> dict[str, Any]:
 
 def _record(episode: Episode) -> dict[str, Any]:
     config = episode.config
-    sensor = episode.sensor
-    specified = RangeSensor(config.agent.range_std, cone=config.robot.cone)
-    record = record_of(
-        episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1))
-    )
+    true, odometry = ([*rows.swapaxes(0, 1)] for rows in (episode.true, episode.odometry))
     return {
-        **record,
-        "places": place_records(episode.time, episode.places.records),
-        "sensor": sensor and sensor.found(specified, config.robot.control_period),
-        "beam_turns": turn_records(episode.beam_turns),
+        **record_of(episode.time, true, odometry, episode.places.records),
+        **sensor_record(episode.sensor, episode.beam_turns, config.agent.range_std, config.robot),
         "calibration": [
             found and calibration_record(found[0]._asdict(), found[1])
             for found in episode.calibrations
@@ -407,27 +396,6 @@ def title_of(config: RunConfig) -> str:
         "laps": config.laps,
     }
     return run_title(told, config.robots, config.seed)
-
-
-def _draw(path: Path, episode: Episode) -> None:
-    from limslam_agent.output.drawing import MapPicture, draw_map
-
-    title = title_of(episode.config)
-    final = episode.final_map
-    mapped, estimated, odometry, true = (
-        [poses[:, number, :2] for number in range(episode.placed_robots)]
-        for poses in (final.poses, episode.estimated, episode.odometry, episode.true)
-    )
-    picture = MapPicture(
-        title,
-        final.segments,
-        mapped,
-        odometry,
-        episode.world.edges,
-        true,
-        online=[] if episode.smoothed is None else estimated,
-    )
-    draw_map(path, picture)
 
 
 def _events(episode: Episode) -> list[AssociationEvent]:

@@ -72,6 +72,11 @@ def either(one: float, other: float) -> float:
     return 1.0 - (1.0 - one) * (1.0 - other)
 
 
+def planar_covariance(std: float) -> FloatArray:
+    """A covariance (3, 3) of positions with a root mean square error, m, and an exact heading."""
+    return np.diag([0.5, 0.5, 0.0]) * std**2
+
+
 def in_words(chance: float, covariance: FloatArray, what: str = "the pose") -> str:
     """Why an estimate with a covariance (3, 3) is not ``ok``; without its heading if that is
     exact.

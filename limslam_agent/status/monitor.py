@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
+from limslam_agent.record import Drive
 from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.chance import chance_mistaken, chance_off, either, in_words
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
-from limslam_agent.status.rays import STEPS, Sight, rays_of
+from limslam_agent.status.rays import STEPS, rays_of
 from limslam_agent.status.status import Status, judged
-from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, SuddenChanges, by_beam
+from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, Now, SuddenChanges, by_beam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -53,9 +54,8 @@ MAYBE_CARRIED = Status("unsure", CARRIED.reason)
 class Loss(NamedTuple):
     """Why a robot is lost, and since when."""
 
-    status: Status  # the status
-    # number of steps for which the estimate has been doubtful; 0 if the doubt began in this step
-    ago: int
+    status: Status
+    step: int  # number of the step since which the estimate has been doubtful
     is_carried: bool = (
         False  # whether the readings of that step say that the robot was carried away before it
     )
@@ -71,10 +71,9 @@ class Loss(NamedTuple):
 class StatusMonitor:
     """Watches one robot.
 
-    At each step the monitor gets the motion that the odometry reports, and the readings. Each time
-    that the robot has moved far enough, it compares the readings with the map. The chance that the
-    pose is off (:mod:`~limslam_agent.status.chance`) follows from that and from its covariance, and
-    the level from this chance and from jumps of the odometry.
+    Each time that the robot has moved far enough, the monitor compares the readings with the map.
+    The chance that the pose is off (:mod:`~limslam_agent.status.chance`) follows from that and from
+    its covariance, and the level from this chance and from jumps of the odometry.
 
     While a robot is lost, the covariance of its pose gets larger with each metre. It stays lost for
     3 m, and until nothing is doubtful any more.
@@ -85,9 +84,13 @@ class StatusMonitor:
         Body and beams as specified.
     sensor
         How ranges are measured, and by what the beams are turned.
+    drive
+        The recorded drive, of which the steps from now on count.
 
     Attributes
     ----------
+    first
+        Number of the first step that may still count.
     sensor
         The same, as far as it is known now. Set it when the estimator has found out more.
     status
@@ -105,16 +108,14 @@ class StatusMonitor:
         A beam that always reads the same, and is left out from now on; None without it.
     """
 
-    def __init__(self, robot: RobotSpec, sensor: RangeSensor) -> None:
+    def __init__(self, robot: RobotSpec, sensor: RangeSensor, drive: Drive) -> None:
         self._robot = robot
         self.sensor = sensor
-        self._step = -1
+        self._drive = drive
+        self.first = drive.end
         self._place = 0.0
         self._checked = -math.inf
-        # the latest steps, and the number of the first of them
-        self._sights = list[Sight]()
-        self._first = 0
-        self._changes = SuddenChanges(robot)
+        self._changes = SuddenChanges(robot, drive)
         self._steady = np.zeros((STEADY, len(robot.beams)))
         self._steady[READING] = math.nan
         self.jump = 0.0
@@ -125,13 +126,11 @@ class StatusMonitor:
         self.status = self.by_readings = Status()
         self.mistaken = 0.0
 
-    def observe(self, sight: Sight, *, is_busy: bool) -> bool:
-        """Note the motion and the readings of one step.
+    def observe(self, *, is_busy: bool) -> bool:
+        """Note the motion and the readings of the latest step.
 
         Parameters
         ----------
-        sight
-            What the robot believes and reads in this step.
         is_busy
             Whether the estimator extracts lines in this step. Such a step takes long in any case.
             Comparisons are made in these steps if possible, so that they add little to the median
@@ -144,25 +143,23 @@ class StatusMonitor:
         """
         from limslam_agent.kernels.readings import compare_with_before
 
-        x, y, turn = sight.motion.tolist()
+        scan = self._drive.scans[-1]
+        x, y, turn = scan.motion.tolist()
         distance = math.hypot(x, y)
-        unknown = math.sqrt(sum(unknown_of(sight.observation)))
+        unknown = math.sqrt(sum(unknown_of(scan.observation)))
         self._is_unknown = unknown > _MAX_TURN * self._robot.axle
         is_jump = distance > _MAX_JUMP or self._is_unknown
         if is_jump:
-            distance = max(distance, unknown)
-            self.jump = self.jump + distance
+            self.jump += max(distance, unknown)
             distance = 0.0
-        self._step += 1
-        self._sights.append(sight)
         # No wall is read with so little noise.
         limit = 0.5 * self.sensor.std
-        compare_with_before(sight.ranges, self._robot.too_far, limit, turn, self._steady)
+        compare_with_before(scan.ranges, self._robot.too_far, limit, turn, self._steady)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
         moved = self._place - self._checked
         is_due = is_jump or moved >= (SPACING if is_busy else LONGEST_SPACING)
-        return is_due or len(self._sights) >= 2 * STEPS
+        return is_due or self._drive.end - self.first >= 2 * STEPS
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.
@@ -176,15 +173,14 @@ class StatusMonitor:
         """
         self._checked = self._place
         present.sensor = self.sensor
-        self._changes.look(self._sights, self._first, self._place, present, covariance)
-        self._sights = self._sights[-STEPS:]  # more would count no more
-        self._first = self._step + 1 - len(self._sights)
+        self._changes.look(Now(self.first, self._place, present, covariance))
+        self.first = max(self.first, self._drive.end - STEPS)  # more would count no more
         self.broken = self._broken_beam(present)
         self._judge(covariance)
 
     def forget_map(self) -> None:
-        """Forget what the map was like: a loop is closed in the step that is observed next."""
-        self._changes.forget_until(self._step)
+        """Forget what the map was like: a loop is closed in the step that is recorded next."""
+        self._changes.forget()
 
     @property
     def is_suspicious(self) -> bool:
@@ -224,7 +220,7 @@ class StatusMonitor:
 
         The walls there were seen later by other beams, which speak for the pose.
         """
-        rays = rays_of(self._sights, self._robot, self.sensor)
+        rays = rays_of(self._drive.since(self.first), self._robot, self.sensor)
         test = by_beam(rays, present.explained(rays).by_place(rays), self._robot)
         return bool(test[beam] > 2.0 * DECIDED and test.sum() - test[beam] < 0.0)
 
@@ -256,7 +252,7 @@ class StatusMonitor:
             words = f"the odometry reports a motion of {self.jump:.1f} m in one step"
             if self._is_unknown:
                 words = "how the robot moved in a gap of its odometry is not known"
-            return Loss(Status("lost", words), 0)
+            return Loss(Status("lost", words), self._drive.end - 1)
         found = self._changes.suspicion
         return self.doubt if found is not None and found.is_certain else None
 
@@ -270,10 +266,9 @@ class StatusMonitor:
             return None
         # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
         change = found.change
-        ago = self._step - found.change.step
         if found.is_slip:
-            return Loss(CARRIED, ago, known=change.known)
-        return Loss(CARRIED, ago, is_carried=change.evidence >= DOUBTED)
+            return Loss(CARRIED, change.step, known=change.known)
+        return Loss(CARRIED, change.step, is_carried=change.evidence >= DOUBTED)
 
 
 def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True) -> FloatArray:

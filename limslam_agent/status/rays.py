@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +15,11 @@ from limslam_agent.kernels.tables import (
     RAY_X,
     RAY_Y,
 )
-from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_agent.record import Scan
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
-from limslam_env.interface import Observation, RobotSpec
+from limslam_env.interface import RobotSpec
 
 _APART = 0.10, 0.25
 """Of two rays that end in the same square, the later one is kept: side of the squares for rays that
@@ -41,29 +40,8 @@ sensor.
 """
 
 
-class Sight(NamedTuple):
-    """What a robot believed and read in one step. Each step makes one, so it has to be cheap."""
-
-    pose: FloatArray  # estimated pose (3,), m and rad
-    # Readings (n_beams,), m, as they were reported. They are NaN where there is no new reading.
-    ranges: FloatArray
-    # The motion (3,) that the odometry reports for this step, in the frame of the robot before it,
-    # m and rad
-    motion: FloatArray = np.zeros(3)
-    observation: Observation = (
-        Observation()
-    )  # what the robot observed, if the step is to be processed again
-
-    @classmethod
-    def of(
-        cls, front: FrontEnd, pose: FloatArray, motion: FloatArray, observation: Observation
-    ) -> "Sight":
-        """The step that the front end of a robot has just processed."""
-        return cls(pose, np.where(front.measured, front.reported, np.nan), motion, observation)
-
-
 def rays_of(
-    steps: Sequence[Sight], robot: RobotSpec, sensor: RangeSensor | None = None
+    steps: Sequence[Scan], robot: RobotSpec, sensor: RangeSensor | None = None
 ) -> FloatArray:
     """The latest rays (n, 7) of steps, in the order of time: origin, direction, reading and longest
     reading, m, and number of the beam.
@@ -72,7 +50,7 @@ def rays_of(
 
 
 def numbered_rays_of(
-    steps: Sequence[Sight], robot: RobotSpec, sensor: RangeSensor | None = None
+    steps: Sequence[Scan], robot: RobotSpec, sensor: RangeSensor | None = None
 ) -> tuple[FloatArray, IntArray]:
     """The latest rays (n, 7) of steps, and the number of the step (n,) of each of them.
 

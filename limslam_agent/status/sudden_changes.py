@@ -20,6 +20,7 @@ import numpy as np
 
 from limslam_agent.dropouts import short_series
 from limslam_agent.kernels.tables import RAY_BEAM
+from limslam_agent.record import Drive, Scan
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import (
     DECIDED,
@@ -31,7 +32,7 @@ from limslam_agent.status.known_map import (
     drift_fit,
     slip_fit,
 )
-from limslam_agent.status.rays import LASTING, Sight, moved, numbered_rays_of, step_rays
+from limslam_agent.status.rays import LASTING, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -94,6 +95,29 @@ class Suspicion(NamedTuple):
     is_slip: bool = False
 
 
+class Now(NamedTuple):
+    """Where a robot is when its readings are weighed."""
+
+    first: int  # number of the first step that counts
+    place: float  # where in the drive it is, m
+    known: KnownMap  # the map as it is now
+    covariance: FloatArray  # of the pose (3, 3)
+
+
+class _Since(NamedTuple):
+    """What the rays (n, 7) since a change say of the believed pose, and its covariance (3, 3)."""
+
+    change: Change
+    rays: FloatArray
+    here: Explained
+    covariance: FloatArray
+
+    @property
+    def evidence(self) -> float:
+        """Their evidence for the believed pose."""
+        return float(self.here.evidence.sum())
+
+
 class SuddenChanges:
     """Finds the changes of one robot's readings, and weighs them by all readings since then.
 
@@ -106,59 +130,37 @@ class SuddenChanges:
         The likeliest one that makes the robot doubtful; None without it.
     """
 
-    def __init__(self, robot: RobotSpec) -> None:
+    def __init__(self, robot: RobotSpec, drive: Drive) -> None:
         self._robot = robot
+        self._drive = drive
         self._noted = -math.inf
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
-        self.forget_until(-1)
+        self.forget()
 
-    def look(
-        self,
-        sights: Sequence[Sight],
-        first: int,
-        place: float,
-        known: KnownMap,
-        covariance: FloatArray,
-    ) -> None:
+    def look(self, now: Now) -> None:
         """Note the likeliest change since the last call, if it is sudden or the last one is some
         way back.
 
         All changes are weighed then.
-
-        Parameters
-        ----------
-        sights, first
-            The latest steps, and the number of the first of them.
-        place
-            Where in the drive the robot is, m.
-        known, covariance
-            The map as it is now, and the covariance (3, 3) of the pose.
         """
-        found = self._likeliest(sights, first, place, known, covariance)
-        if found is None or (found.evidence <= 0.0 and place - self._noted < LONGEST_SPACING):
+        found = self._likeliest(now)
+        if found is None or (found.evidence <= 0.0 and now.place - self._noted < LONGEST_SPACING):
             return
-        self._noted = place
+        self._noted = now.place
         self._changes.append(found)
-        self._weigh(sights, first, place, known, covariance)
+        self._weigh(now)
 
-    def forget_until(self, step: int) -> None:
-        """Forget all changes and maps until a step, after which the estimator has closed a loop,
-        and moved the map.
+    def forget(self) -> None:
+        """Forget all changes and maps until now, since the estimator has closed a loop, and moved
+        the map.
         """
-        self._weighed = step
+        self._weighed = self._drive.end - 1
         self._changes = list[Change]()
         self._known.clear()
         self.suspicion: Suspicion | None = None
 
-    def _weigh(
-        self,
-        sights: Sequence[Sight],
-        first: int,
-        place: float,
-        known: KnownMap,
-        covariance: FloatArray,
-    ) -> None:
+    def _weigh(self, now: Now) -> None:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the
         robot doubtful.
 
@@ -166,9 +168,8 @@ class SuddenChanges:
         refute it as clearly as they have to speak for it at first. Until then, its change is
         remembered.
         """
-        begin = max(self._changes[0].step, first)
-        rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
-        since = steps + begin
+        begin = max(self._changes[0].step, now.first)
+        rays, steps = numbered_rays_of(self._drive.since(begin), self._robot, now.known.sensor)
         doubted = None if self.suspicion is None else self.suspicion.change
         self.suspicion = None
         kept = list[Change]()
@@ -176,126 +177,105 @@ class SuddenChanges:
         # A pose near the believed one takes long to find, and only makes a change less likely. So
         # the likeliest change of the last time comes first, and less likely ones need no such pose.
         for change in sorted(self._changes, key=lambda each: each is not doubted):
-            change.known.sensor = known.sensor
-            later = change.known.counting(rays[since >= change.step])
-            here = change.known.explained(later)
-            found = self._carried(change, later, here, covariance, least)
-            slipped = self._slipped(change, later, here, covariance, max(least, found.evidence))
-            found = slipped or found
+            change.known.sensor = now.known.sensor
+            later = change.known.counting(rays[steps + begin >= change.step])
+            since = _Since(change, later, change.known.explained(later), now.covariance)
+            found = self._carried(since, least)
+            found = self._slipped(since, max(least, found.evidence)) or found
             is_doubted = found.evidence >= (-DOUBTED if change is doubted else DOUBTED)
             if is_doubted and (self.suspicion is None or found.evidence >= least):
                 self.suspicion = found
                 least = max(DOUBTED, found.evidence)
-            if is_doubted or place - change.place <= WINDOW:
+            if is_doubted or now.place - change.place <= WINDOW:
                 kept.append(change)
         self._changes = sorted(kept, key=attrgetter("step"))[-_CHANGES:]
 
-    def _carried(
-        self,
-        change: Change,
-        later: FloatArray,
-        here: Explained,
-        covariance: FloatArray,
-        least: float,
-    ) -> Suspicion:
-        """That the robot is elsewhere since a change, by the rays (n, 7) since then.
+    def _carried(self, since: _Since, least: float) -> Suspicion:
+        """That the robot is elsewhere since a change.
 
         The evidence of less than ``least`` is too large if the robot has drifted.
         """
-        evidence = change.evidence - float(here.evidence.sum())
+        change = since.change
+        evidence = change.evidence - since.evidence
         if evidence >= least:  # or it has drifted
-            near = drift_fit(change.known, later, covariance)
-            there = max(
-                -near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested)
-            )
-            evidence = min(evidence, change.evidence + there)
-        others = _without_the_worst(change.by_beam + by_beam(later, -here.evidence, self._robot))
+            near = drift_fit(change.known, since.rays, since.covariance)
+            test = contradiction_test(near.fit.contradictions, near.fit.tested)
+            evidence = min(evidence, change.evidence + max(-near.evidence, test))
+        others = self._without_the_worst(since.rays, -since.here.evidence, change.by_beam)
         return Suspicion(change, evidence, is_certain=evidence >= UNLIKELY and others >= DECIDED)
 
-    def _slipped(
-        self,
-        change: Change,
-        later: FloatArray,
-        here: Explained,
-        covariance: FloatArray,
-        least: float,
-    ) -> Suspicion | None:
-        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is
-        not certain, or has less evidence than ``least``.
+    def _slipped(self, since: _Since, least: float) -> Suspicion | None:
+        """That the robot has slipped at a change; None if that is not certain, or has less evidence
+        than ``least``.
 
         Readings on unknown ground may fit a turned map by chance. So one of them must contradict
         the believed pose, and those after it must not clearly fit there.
         """
+        change, rays, here, covariance = since
         contradicting = np.flatnonzero(here.against)
         if not len(contradicting) or here.evidence[contradicting[-1] + 1 :].sum() > _SUPPORTED:
             return None
-        slip = slip_fit(change.known, later)
+        slip = slip_fit(change.known, rays)
         least = max(least, DECIDED)
-        evidence = slip.evidence - float(here.evidence.sum())
+        evidence = slip.evidence - since.evidence
         if evidence < least:
             return None
-        drifted = drift_fit(change.known, later, covariance, slip.fit.pose[None])
+        drifted = drift_fit(change.known, rays, covariance, slip.fit.pose[None])
         evidence = min(evidence, slip.evidence - drifted.evidence)
-        there = change.known.explained(moved(later, slip.fit.pose))
-        others = _without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
+        there = change.known.explained(moved(rays, slip.fit.pose))
+        others = self._without_the_worst(rays, there.evidence - here.evidence)
         return (
             Suspicion(change, evidence, is_certain=True, is_slip=True)
             if evidence >= least and others >= DECIDED
             else None
         )
 
-    def _likeliest(
-        self,
-        sights: Sequence[Sight],
-        first: int,
-        place: float,
-        known: KnownMap,
-        covariance: FloatArray,
-    ) -> Change | None:
+    def _likeliest(self, now: Now) -> Change | None:
         """The step since the last call with the most sudden change, if there is a step."""
-        self._known.append((first + len(sights) - 1, known.frozen))
-        begin = max(self._weighed + 1 - LASTING - first, 0)
-        steps = sights[begin:]
-        if len(steps) <= LASTING + 1:
+        known = now.known
+        self._known.append((self._drive.end - 1, known.frozen))
+        begin = max(self._weighed + 1 - LASTING, now.first)
+        scans = self._drive.since(begin)
+        if len(scans) <= LASTING + 1:
             return None
-        ranges = np.array([each.ranges for each in steps])
-        motions = np.array([each.motion for each in steps])
-        evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
-        new = max(self._weighed - first - begin - 1, 0)
-        self._weighed = first + begin + len(steps) - LASTING
+        evidence = change_evidence(scans, self._robot, known.sensor)[: 1 - LASTING]
+        new = max(self._weighed - begin - 1, 0)
+        self._weighed = begin + len(scans) - LASTING
         if new >= len(evidence):
             return None
         row = new + int(evidence[new:].sum(axis=1).argmax())
-        number = first + begin + row + 2
+        number = begin + row + 2
         map_then = next(
             (each for at, each in reversed(self._known) if at <= number), self._known[0][1]
         )
-        is_explained = self._are_explained(steps[row + 2], map_then, covariance)
-        return Change(
-            number,
-            place,
-            map_then,
-            np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]),
-        )
+        is_explained = self._are_explained(scans[row + 2], map_then, now.covariance)
+        by_beam = np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row])
+        return Change(number, now.place, map_then, by_beam)
 
-    def _are_explained(self, sight: Sight, known: KnownMap, covariance: FloatArray) -> BoolArray:
+    def _are_explained(self, scan: Scan, known: KnownMap, covariance: FloatArray) -> BoolArray:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says
         nothing.
         """
         sensor = known.sensor
         robot = self._robot
-        ranges = sensor.corrected(sight.ranges, robot)
-        rays = moved(step_rays(ranges, sensor.mounted(robot)), sight.pose)
-        found: BoolArray = np.zeros(len(sight.ranges), dtype=bool)
-        found[rays[:, RAY_BEAM].astype(int)] = (
-            known.explained(rays, covariance).evidence > _EXPLAINED
-        )
+        ranges = sensor.corrected(scan.ranges, robot)
+        rays = moved(step_rays(ranges, sensor.mounted(robot)), scan.pose)
+        found: BoolArray = np.zeros(len(scan.ranges), dtype=bool)
+        evidence = known.explained(rays, covariance).evidence
+        found[rays[:, RAY_BEAM].astype(int)] = evidence > _EXPLAINED
         return found
 
+    def _without_the_worst(
+        self, rays: FloatArray, evidence: FloatArray, more: FloatArray | float = 0.0
+    ) -> float:
+        """The evidence (n,) of rays (n, 7), and ``more`` (n_beams,), of all beams but the one that
+        says most, which may be broken.
+        """
+        found = more + by_beam(rays, evidence, self._robot)
+        return float(found.sum() - found.max())
 
-def change_evidence(
-    ranges: FloatArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor
-) -> FloatArray:
+
+def change_evidence(scans: Sequence[Scan], robot: RobotSpec, sensor: RangeSensor) -> FloatArray:
     """The evidence (m, n_beams) of each reading that the robot was carried away before its step.
 
     It is the logarithm of the likelihood of the reading at a random place, less that of the reading
@@ -305,15 +285,16 @@ def change_evidence(
 
     Parameters
     ----------
-    ranges, motions
-        Readings of m + 2 steps (m + 2, n_beams), m, and the motions (m + 2, 3) before them, m and
-        rad. Readings that are not new are NaN. Those that saw nothing count if the beam does so in
-        ``LASTING`` steps in succession.
+    scans
+        m + 2 steps. Readings that saw nothing count if the beam does so in ``LASTING`` steps in
+        succession.
     robot, sensor
         The beams, and how they measure.
     """
     from limslam_agent.kernels.readings import weigh_changes
 
+    ranges = np.array([scan.ranges for scan in scans])
+    motions = np.array([scan.motion for scan in scans])
     usable = np.isfinite(ranges) & ~short_series(ranges >= robot.too_far, LASTING)
     lengths = np.column_stack((np.hypot(*motions[:, :2].T), np.abs(motions[:, 2])))
     evidence = np.empty((max(len(ranges) - 2, 0), ranges.shape[1]))
@@ -328,8 +309,3 @@ def by_beam(rays: FloatArray, evidence: FloatArray, robot: RobotSpec) -> FloatAr
     return np.asarray(
         np.bincount(rays[:, RAY_BEAM].astype(int), evidence, len(robot.beams)), dtype=float
     )
-
-
-def _without_the_worst(evidence: FloatArray) -> float:
-    """The evidence (n_beams,) of all beams but the one that says most, which may be broken."""
-    return float(evidence.sum() - evidence.max())

@@ -14,9 +14,9 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.replay.record import Replay
 from limslam_agent.replay.smoothing import draw_grid, draw_walls, ends_of, loop_records
 from limslam_agent.replay.trust import path_signals
-from limslam_agent.slam.graph.agreement import visit_counts
-from limslam_agent.slam.graph.chunk_graph import KEPT
-from limslam_agent.slam.graph.key_poses import (
+from limslam_agent.slam.map_graph.agreement import visit_counts
+from limslam_agent.slam.map_graph.chunk_graph import KEPT
+from limslam_agent.slam.map_graph.key_poses import (
     APART,
     ERRORS,
     KeyPoses,
@@ -27,15 +27,15 @@ from limslam_agent.slam.graph.key_poses import (
     event_poses,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.point_links import point_cloud
-from limslam_agent.slam.graph.smooth import (
+from limslam_agent.slam.map_graph.point_links import point_cloud
+from limslam_agent.slam.map_graph.smoothing import smooth_locally
+from limslam_agent.slam.map_graph.stages import (
     GraphResult,
     LogProblem,
     Report,
     saying,
     smooth_with_loops,
 )
-from limslam_agent.slam.graph.smoothing import smooth_locally
 from limslam_agent.two_logs.joint import JointReplay, Replays
 from limslam_env.geometry import BoolArray, FloatArray, se2
 

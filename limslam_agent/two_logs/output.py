@@ -2,6 +2,7 @@
 frame.
 """
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.logs.relations import RelationErrors, Relations, relation_errors, summary
-from limslam_agent.output.export import map_content, write_json, write_map
-from limslam_agent.output.finished_run import UNPLACED
-from limslam_agent.output.provenance import versions
+from limslam_agent.output.map_picture import MapPicture
+from limslam_agent.output.results import Results, write_results
 from limslam_agent.output.summary import run_cost
-from limslam_agent.output.tum import write_tum
 from limslam_agent.replay.replay import write_replay
 from limslam_agent.two_logs.joint import JointReplay
+from limslam_env.geometry import FloatArray
 
 LOG_FOLDERS = ("log_0", "log_1")
 """The folders of the results of each log by itself."""
@@ -93,26 +93,34 @@ def write_joint_replay(
     ):
         (folder / name).mkdir()
         own.append(write_replay(folder / name, replay, source, each))
-    for number, replay in enumerate(joint.replays):
-        for kind, paths in joint.paths().items():
-            write_tum(folder / f"trajectory_{kind}_{number}.tum", replay.log.time, paths[number])
-    true = [
-        (each.log.time, each.log.true_pose)
-        for each in joint.replays
-        if each.log.true_pose is not None
-    ]
+    true = [each.log.true_pose for each in joint.replays if each.log.true_pose is not None]
+    paths: dict[str, Sequence[FloatArray]] = {**joint.paths()}
     if joint.is_joined and len(true) == len(joint.replays):
-        for number, (time, poses) in enumerate(true):
-            write_tum(folder / f"trajectory_true_{number}.tum", time, poses)
-    write_map(folder, joint)
-    if joint.unplaced is not None:
-        write_json(folder / UNPLACED, map_content(joint.unplaced, "local"))
-    if joint.loops is not None:
-        write_json(folder / "loops.json", joint.loops)
-    _draw(folder / "map.png", joint, sources)
-    result = _result(joint, sources, scores[2], own)
-    write_json(folder / "result.json", result)
-    return result
+        paths["true"] = true
+    # Of logs that are not joined, the picture shows the first one only.
+    shown = joint.replays if joint.is_joined else joint.replays[:1]
+    names = " and ".join(str(source["log"]) for source in sources[: len(shown)])
+    beams = dict.fromkeys(len(each.log.robot.beams) for each in joint.replays)
+    known = [each.log.true_pose for each in shown if each.log.true_pose is not None]
+    drawn = {kind: each[: len(shown)] for kind, each in paths.items()}
+    if len(known) == len(shown):
+        drawn["true"] = known
+    results = Results(
+        times=[each.log.time for each in joint.replays],
+        paths=paths,
+        final=joint,
+        picture=MapPicture.of(
+            f"{names}, {' and '.join(map(str, beams))} beams, {joint.replays[0].config.preset}",
+            joint.segments,
+            drawn,
+            grid=joint.grid,
+            remark=joint.status.remark,
+        ),
+        content=_result(joint, sources, scores[2], own),
+        unplaced=joint.unplaced,
+        tables={} if joint.loops is None else {"loops.json": joint.loops},
+    )
+    return write_results(folder, results)
 
 
 def _result(
@@ -157,36 +165,5 @@ def _result(
             "driven_m": sum(each["driven_m"] for each in records),
             "places": [{"step": 0, "time_s": 0.0, **joint.record}],
         },
-        "versions": versions(),
         "seed": None,
     }
-
-
-def _draw(path: Path, joint: JointReplay, sources: tuple[Source, Source]) -> None:
-    """Draw the map with the paths of both logs; of the first log only if they are not joined."""
-    from limslam_agent.output.drawing import MapPicture, draw_map
-
-    count = 2 if joint.is_joined else 1
-    names = " and ".join(str(each["log"]) for each in sources[:count])
-    beams = " and ".join(
-        str(number) for number in dict.fromkeys(len(each.log.robot.beams) for each in joint.replays)
-    )
-    true_paths = [
-        each.log.true_pose[:, :2]
-        for each in joint.replays[:count]
-        if each.log.true_pose is not None
-    ]
-    online, odometry, smoothed = (
-        [poses[:, :2] for poses in paths[:count]] for paths in joint.paths().values()
-    )
-    picture = MapPicture(
-        f"{names}, {beams} beams, {joint.replays[0].config.preset}",
-        joint.segments,
-        smoothed,
-        odometry,
-        true=true_paths if len(true_paths) == count else [],
-        grid=joint.grid,
-        online=online,
-        remark=joint.status.remark,
-    )
-    draw_map(path, picture)

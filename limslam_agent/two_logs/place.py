@@ -13,11 +13,12 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_TO_X, RAY_X
 from limslam_agent.places.localisation import LARGEST_RUNNER_UP, LEAD, KnownPlaces
+from limslam_agent.record import Scan
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import AGREE_DISTANCE, AGREE_TURN
+from limslam_agent.slam.map_graph.agreement import AGREE_DISTANCE, AGREE_TURN
 from limslam_agent.status.known_map import PlaceFit
-from limslam_agent.status.rays import Sight, rays_of
+from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 # m of driving: of a stretch, and between the beginnings of two stretches
@@ -108,7 +109,7 @@ def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
     log = replay.log
     sensor = sensor_of(replay)
     ranges = np.where(log.has_scan[:, None], log.ranges.astype(np.float64), np.nan)
-    steps = [Sight(*each) for each in zip(poses, ranges, strict=True)]
+    steps = [Scan(*each) for each in zip(poses, ranges, strict=True)]
     travel = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
     found = []
     for stretch, begin in enumerate(np.arange(0.0, max(travel[-1] - _EVERY, _EVERY), _EVERY)):

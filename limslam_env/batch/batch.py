@@ -101,10 +101,8 @@ class BatchSimulation:
         )
         period = robot.control_period
         fan = fan_of(beams, robot.radius - BODY_MARGIN)
-        self._robots = Robots(
-            robot.max_wheel_speed * period, robot.radius, period, beams, fan, is_small
-        )
-        self._task = _as_numbers(task, max_steps)
+        self._robots = Robots(robot.max_wheel_speed * period, robot.radius, beams, fan, is_small)
+        self._task = _as_numbers(task, max_steps, period)
         self._homes: Words = np.zeros(count, dtype=np.uint64)
         self._numbers = np.zeros(count, dtype=np.int64)
         # A seed changes the two above for all environments, but the places of only those that begin
@@ -248,12 +246,16 @@ def noise_settings(noise: NoiseConfig, robot: RobotSpec) -> Settings:
     return Settings(lowest, highest - lowest, np.array([names.index(name) for name in _SETTINGS]))
 
 
-def _as_numbers(task: TaskConfig, max_steps: int | None) -> Task:
+def _as_numbers(task: TaskConfig, max_steps: int | None, control_period: float) -> Task:
     """A task as the kernel takes it."""
-    goal = math.inf if task.coverage_goal is None else float(task.coverage_goal)
-    rewards = task.reward
-    worths = float(rewards.new_area), float(rewards.step), float(rewards.collision)
-    return Task(*worths, goal, np.iinfo(np.int64).max if max_steps is None else int(max_steps))
+    return Task(
+        new_area=float(task.reward.new_area),
+        step=float(task.reward.step),
+        collision=float(task.reward.collision),
+        goal=math.inf if task.coverage_goal is None else float(task.coverage_goal),
+        max_steps=np.iinfo(np.int64).max if max_steps is None else int(max_steps),
+        control_period=control_period,
+    )
 
 
 def _no_episodes(world_of: IntArray, num_robots: int, num_beams: int) -> Episodes:

@@ -20,7 +20,14 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Episodes, Results, Scratch, Settings, Starts, lanes_for
 from limslam_env.kernels.batch_step import BEGIN, STEP, advance_one, hand_out
-from limslam_env.kernels.random_numbers import Words, chosen, derived, draw_row, draw_start
+from limslam_env.kernels.random_numbers import (
+    FreeCells,
+    Words,
+    chosen,
+    derived,
+    draw_row,
+    draw_start,
+)
 from limslam_env.simulation.starts import TRIES
 
 _BLOCK = 128  # threads
@@ -194,16 +201,8 @@ def _begin_again(
         for place in range(3):
             episodes.poses[env, robot, place] = starts.given[slot, robot, place]
     runs = starts.runs[starts.firsts[slot] : starts.firsts[slot + 1]]
-    draw_start(
-        key,
-        starts.num_given[slot],
-        runs,
-        starts.counts[slot],
-        starts.spaces[slot],
-        starts.apart,
-        episodes.poses[env],
-        TRIES,
-    )
+    cells = FreeCells(runs, starts.counts[slot], starts.spaces[slot])
+    draw_start(key, starts.num_given[slot], cells, starts.apart, episodes.poses[env], TRIES)
 
 
 @functools.cache
@@ -241,7 +240,7 @@ def _kernel_for(num_robots: int, lanes: int) -> Any:
         if renewal.over[env]:
             _begin_again(env, settings, starts, renewal, episodes)
         advance_one(env, does, actions[0], robots, worlds, episodes, scratch)
-        hand_out(env, does, robots, worlds, episodes, scratch, task, results)
+        hand_out(env, does, worlds, episodes, scratch, task, results)
         renewal.over[env] = results.terminated[env] or results.truncated[env]
 
     return step

@@ -12,13 +12,13 @@ from limslam_env.batch.worlds import Site, Sites, StartCells, prepare
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Starts
-from limslam_env.kernels.random_numbers import Words, draw_starts
+from limslam_env.kernels.random_numbers import FreeCells, Words, draw_starts
 from limslam_env.messages import announce
 from limslam_env.simulation.starts import TRIES, known_poses, least_distance, no_room
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World
 
-_NO_STARTS = StartCells(no_rows(3), np.zeros((0, 2), dtype=np.int32), 0, np.zeros(4))
+_NO_STARTS = StartCells(no_rows(3), FreeCells(np.zeros((0, 2), dtype=np.int32), 0, np.zeros(4)))
 
 
 def cores() -> int:
@@ -109,10 +109,10 @@ class Places:
         return Starts(
             given,
             np.array([len(starts.given) for starts in each]),
-            np.concatenate([starts.runs for starts in each]),
-            np.array([starts.count for starts in each]),
-            np.array([starts.space for starts in each]),
-            np.cumsum([0, *(len(starts.runs) for starts in each)]),
+            np.concatenate([starts.cells.runs for starts in each]),
+            np.array([starts.cells.number for starts in each]),
+            np.array([starts.cells.space for starts in each]),
+            np.cumsum([0, *(len(starts.cells.runs) for starts in each)]),
             least_distance(self._robot),
         )
 
@@ -212,9 +212,7 @@ class Places:
         count = given.shape[-2]
         poses[:, :count] = given
         apart = least_distance(robot)
-        if not draw_starts(
-            keys, count, starts.runs, starts.count, starts.space, apart, poses, TRIES
-        ):
+        if not draw_starts(keys, count, starts.cells, apart, poses, TRIES):
             raise no_room(world(), self.num_robots)
         return poses
 

@@ -10,7 +10,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Worlds
 from limslam_env.kernels.coverage import TILE
-from limslam_env.kernels.random_numbers import Words
+from limslam_env.kernels.random_numbers import FreeCells, Words
 from limslam_env.kernels.rays import Walls
 from limslam_env.simulation.coverage import coverage_grid
 from limslam_env.simulation.sensors import build_wall_index, walls_around
@@ -34,17 +34,12 @@ class StartCells:
     ----------
     given
         Poses (g, 3) of the first robots, m and rad.
-    runs, count
-        (r, 2): the number of the first of some cells side by side, and how many cells come before
-        it; and of all.
-    space
-        (4,): lower left corner x, y and side of the cells, m, and columns.
+    cells
+        Where the others may start.
     """
 
     given: FloatArray
-    runs: NDArray[np.int32]
-    count: int
-    space: FloatArray
+    cells: FreeCells
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +91,7 @@ def prepare(
     cells = places.cells[~places.is_pocket]
     firsts = np.concatenate(([0], 1 + np.flatnonzero(cells[1:] != cells[:-1] + 1)))[: len(cells)]
     runs = np.column_stack((cells[firsts], firsts)).astype(np.int32)
-    starts = StartCells(places.given, runs, len(cells), places.space)
+    starts = StartCells(places.given, FreeCells(runs, len(cells), places.space))
     tiles = to_tiles(grid.coverable)
     return Site(
         build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts

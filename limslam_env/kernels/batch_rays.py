@@ -9,12 +9,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.compilation import floored, merged
+from limslam_env.compilation import floored, inlined, merged
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.kernels.batch_state import Robots, Scratch, Worlds
-from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN, unseen_nearby, walk_disc, walk_ray
-from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import Walls, cast_at_discs, first_wall, meeting, nearest_in_cone
+from limslam_env.kernels.batch_state import Episodes, Robots, Scratch, Worlds
+from limslam_env.kernels.coverage import RAY_MARGIN, TileGrid, unseen_nearby, walk_disc, walk_ray
+from limslam_env.kernels.rays import (
+    Cone,
+    Discs,
+    Ray,
+    Walls,
+    cast_at_discs,
+    first_wall,
+    meeting,
+    nearest_in_cone,
+)
 from limslam_env.kernels.readings import ANGLE, LONGEST_RANGE, NOTHING, OFFSET, ROBOT, is_due
 
 MOST_LANES = 64
@@ -147,35 +155,22 @@ def cast_at_end(edge: int, row: int, aims: FloatArray, edges: FloatArray, rays: 
 
 
 @merged
-def find_unseen(
-    env: int,
-    unseen: Words,
-    tile_columns: int,
-    tile_rows: int,
-    low_x: float,
-    low_y: float,
-    cell: float,
-    aims: FloatArray,
-    rays: FloatArray,
-) -> np.uint64:
+def find_unseen(grid: TileGrid, aims: FloatArray, rays: FloatArray) -> np.uint64:
     """Where there are unseen cells around the rays of a robot: a bit for each lane.
 
-    ``low_x`` and ``low_y`` (m) are the corner of the cells, ``cell`` (m) their side. A robot covers
-    cells in this step, too: a ray may find none left where this function has found some.
+    A robot covers cells in this step, too: a ray may find none left where this function has found
+    some.
     """
-    per_metre = 1.0 / cell
+    per_metre = 1.0 / grid.cell
     found = _NONE
     for lane in range(rays.shape[1]):
-        from_x = (aims[0, lane] - low_x) * per_metre
-        from_y = (aims[1, lane] - low_y) * per_metre
+        from_x = (aims[0, lane] - grid.low_x) * per_metre
+        from_y = (aims[1, lane] - grid.low_y) * per_metre
         end = rays[0, lane] * per_metre - RAY_MARGIN
         far_x = from_x + aims[2, lane] * end
         far_y = from_y + aims[3, lane] * end
         nearby = unseen_nearby(
-            unseen,
-            env,
-            tile_columns,
-            tile_rows,
+            grid,
             min(from_x, far_x) - _LOOK_MARGIN,
             min(from_y, far_y) - _LOOK_MARGIN,
             max(from_x, far_x) + _LOOK_MARGIN,
@@ -185,31 +180,35 @@ def find_unseen(
     return found
 
 
+@inlined
+def ray_of(scratch: Scratch, number: int) -> Ray:
+    """The ray of a beam, as long as it is known to be free so far."""
+    aims = scratch.aims
+    return Ray(
+        aims[0, number],
+        aims[1, number],
+        aims[2, number],
+        aims[3, number],
+        scratch.rays[0, number],
+    )
+
+
 @merged
 def cast_on(
-    robot: int,
-    step: int,
-    reaches_far: bool,
-    robots: Robots,
-    walls: Walls,
-    poses: FloatArray,
-    aims: FloatArray,
-    rays: FloatArray,
+    step: int, reaches_far: bool, robots: Robots, walls: Walls, discs: Discs, scratch: Scratch
 ) -> None:
     """Cast what :func:`cast_fan` did not: rays among walls that are not listed as near, and rays
     that meet robots.
     """
+    rays = scratch.rays
     for number in range(len(robots.beams)):
         if not is_due(robots.beams, number, step):
             continue
-        x = aims[0, number]
-        y = aims[1, number]
-        dx = aims[2, number]
-        dy = aims[3, number]
         if reaches_far:
-            rays[0, number], rays[1, number] = first_wall(x, y, dx, dy, rays[0, number], walls)
-        if len(poses) > 1:
-            disc = cast_at_discs(x, y, dx, dy, rays[0, number], robot, poses, robots.radius)
+            ray = ray_of(scratch, number)
+            rays[0, number], rays[1, number] = first_wall(ray, walls)
+        if len(discs.poses) > 1:
+            disc = cast_at_discs(ray_of(scratch, number), discs)
             if disc < rays[0, number]:
                 rays[0, number] = disc
                 rays[1, number] = ROBOT
@@ -217,50 +216,32 @@ def cast_on(
 
 @merged
 def cover(
-    env: int,
-    world: int,
+    grid: TileGrid,
     step: int,
-    x: float,
-    y: float,
+    discs: Discs,
     is_looked_for: bool,
     found: np.uint64,
     robots: Robots,
-    worlds: Worlds,
-    unseen: Words,
     scratch: Scratch,
 ) -> int:
-    """Take what a robot at (x, y), m, and its rays see out of the unseen cells; returns how many
+    """Take what a robot, the owner of the rays, sees out of the unseen cells; returns how many
     cells there were.
 
     ``found`` has a bit for each beam, and one for the body: whether there may be unseen cells.
     ``is_looked_for`` is whether :func:`find_unseen` has set them.
     """
-    beams = robots.beams
-    aims = scratch.aims
-    rays = scratch.rays
-    low_x = worlds.areas[world, 0]
-    low_y = worlds.areas[world, 1]
-    cell = worlds.areas[world, 2]
-    columns = worlds.layout[world, 4]
-    rows = worlds.layout[world, 5]
     new = 0
-    x = (x - low_x) / cell
-    y = (y - low_y) / cell
-    radius = (robots.radius - BODY_MARGIN) / cell
     # There may be more beams than bits if nothing was looked for.
-    if not is_looked_for or (found >> np.uint64(len(beams))) & _ONE:
-        new += walk_disc(unseen, env, columns, rows, x, y, radius)
-    for number in range(len(beams)):
+    if not is_looked_for or (found >> np.uint64(len(robots.beams))) & _ONE:
+        x = discs.poses[discs.owner, 0]
+        y = discs.poses[discs.owner, 1]
+        new += walk_disc(grid, x, y, robots.radius)
+    for number in range(len(robots.beams)):
         if is_looked_for and not (found >> np.uint64(number)) & _ONE:
             continue
-        if not is_due(beams, number, step):
+        if not is_due(robots.beams, number, step):
             continue
-        x = (aims[0, number] - low_x) / cell
-        y = (aims[1, number] - low_y) / cell
-        end = rays[0, number] / cell
-        dx = aims[2, number]
-        dy = aims[3, number]
-        new += walk_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
+        new += walk_ray(grid, ray_of(scratch, number))
     return new
 
 
@@ -268,28 +249,26 @@ def cover(
 def trace(
     env: int,
     robot: int,
-    world: int,
-    step: int,
     robots: Robots,
     worlds: Worlds,
     walls: Walls,
-    poses: FloatArray,
-    unseen: Words,
+    episodes: Episodes,
     scratch: Scratch,
 ) -> int:
     """Set the rays of a robot, and count the cells that it is the first to see.
 
-    ``poses`` (m, 3) are those of its environment. Only the rays of beams that measure in this step
-    are complete.
+    Only the rays of beams that measure in this step are complete.
     """
     aims = scratch.aims
     rays = scratch.rays
+    world = episodes.world_of[env]
     layout = worlds.layout
-    x = poses[robot, 0]
-    y = poses[robot, 1]
+    areas = worlds.areas
+    discs = Discs(robot, episodes.poses[env], robots.radius)
+    x = discs.poses[robot, 0]
+    y = discs.poses[robot, 1]
     near_cell = layout[world, 6]
-    cell = worlds.areas[world, 2]
-    aim(robots.fan, x, y, poses[robot, 2], aims, rays)
+    aim(robots.fan, x, y, discs.poses[robot, 2], aims, rays)
     if near_cell >= 0:
         column = min(max(floored((x - walls.low_x) / walls.side), 0), walls.columns - 1)
         row = min(max(floored((y - walls.low_y) / walls.side), 0), walls.rows - 1)
@@ -297,34 +276,28 @@ def trace(
         cast_fan(
             listed, layout[world, 0], aims, walls.edges, worlds.near_starts, worlds.near_edges, rays
         )
+    grid = TileGrid(
+        episodes.unseen,
+        env,
+        layout[world, 4],
+        layout[world, 5],
+        areas[world, 0],
+        areas[world, 1],
+        areas[world, 2],
+    )
     is_looked_for = robots.is_small and near_cell >= 0
     found = _ALL
     if is_looked_for:
-        found = find_unseen(
-            env,
-            unseen,
-            layout[world, 4],
-            layout[world, 5],
-            worlds.areas[world, 0],
-            worlds.areas[world, 1],
-            cell,
-            aims,
-            rays,
-        )
-    if near_cell < 0 or len(poses) > 1:
-        cast_on(robot, step, near_cell < 0, robots, walls, poses, aims, rays)
-    return cover(env, world, step, x, y, is_looked_for, found, robots, worlds, unseen, scratch)
+        found = find_unseen(grid, aims, rays)
+    step = episodes.steps[env]
+    if near_cell < 0 or len(discs.poses) > 1:
+        cast_on(step, near_cell < 0, robots, walls, discs, scratch)
+    return cover(grid, step, discs, is_looked_for, found, robots, scratch)
 
 
 @merged
 def widen(
-    robot: int,
-    step: int,
-    cone: float,
-    robots: Robots,
-    walls: Walls,
-    poses: FloatArray,
-    scratch: Scratch,
+    step: int, half_angle: float, robots: Robots, walls: Walls, discs: Discs, scratch: Scratch
 ) -> None:
     """Let each beam of a robot end at the nearest of what the rays of its cone meet
     (:func:`nearest_in_cone`).
@@ -332,24 +305,19 @@ def widen(
     beams = robots.beams
     aims = scratch.aims
     rays = scratch.rays
+    heading = discs.poses[discs.owner, 2]
     for number in range(len(beams)):
         if not is_due(beams, number, step):
             continue
         offset = beams[number, OFFSET]
-        reach = beams[number, LONGEST_RANGE] + beams[number, OFFSET]
-        x = aims[0, number] + offset * aims[2, number]
-        y = aims[1, number] + offset * aims[3, number]
-        rays[0, number], rays[1, number] = nearest_in_cone(
-            robot,
-            rays[0, number],
-            int(rays[1, number]),
-            x,
-            y,
-            poses[robot, 2] + beams[number, ANGLE],
+        cone = Cone(
+            aims[0, number] + offset * aims[2, number],
+            aims[1, number] + offset * aims[3, number],
+            heading + beams[number, ANGLE],
+            half_angle,
             offset,
-            reach,
-            cone,
-            robots.radius,
-            poses,
-            walls,
+            beams[number, LONGEST_RANGE] + offset,
+        )
+        rays[0, number], rays[1, number] = nearest_in_cone(
+            cone, rays[0, number], int(rays[1, number]), discs, walls
         )

@@ -22,8 +22,6 @@ class Robots(NamedTuple):
     ----------
     wheel_travel, radius
         Travel of a wheel in one step at an action of 1, and radius of the body, m.
-    control_period
-        Duration of a step, s.
     beams, fan
         (n_beams, 12), see :mod:`limslam_env.kernels.readings`; and (8, lanes), as :func:`fan_of`
         makes it of them.
@@ -34,7 +32,6 @@ class Robots(NamedTuple):
 
     wheel_travel: float
     radius: float
-    control_period: float
     beams: FloatArray
     fan: FloatArray
     is_small: bool
@@ -124,6 +121,8 @@ class Task(NamedTuple):
     goal, max_steps
         Coverage at which an episode terminates, more than 1 if it never does; steps after which it
         is truncated.
+    control_period
+        Duration of a step, s.
     """
 
     new_area: float
@@ -131,6 +130,7 @@ class Task(NamedTuple):
     collision: float
     goal: float
     max_steps: int
+    control_period: float
 
 
 class Results(NamedTuple):

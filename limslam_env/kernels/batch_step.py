@@ -12,7 +12,7 @@ from limslam_env.kernels.batch_state import Episodes, Results, Robots, Scratch, 
 from limslam_env.kernels.contact import LONGEST_MOVE, separate
 from limslam_env.kernels.coverage import TILE
 from limslam_env.kernels.random_numbers import GOLDEN, mixed, normal, unit
-from limslam_env.kernels.rays import Walls
+from limslam_env.kernels.rays import Discs, Walls
 from limslam_env.kernels.readings import is_due, noisy_reading, reported_travel, way_over_ground
 
 SKIP = 0
@@ -131,11 +131,11 @@ def read_beams(
 
     ``own`` is the state of the robot's random numbers; numbers that no noise needs are not drawn.
     """
-    noise = episodes.noise
+    noise = episodes.noise[env]
     beams = robots.beams
     rays = scratch.rays
-    is_noisy = noise[env, tables.RANGE_STD] > 0.0 or noise[env, tables.STD_GROWTH] > 0.0
-    is_dropping = noise[env, tables.DROPOUT] > 0.0
+    is_noisy = noise[tables.RANGE_STD] > 0.0 or noise[tables.STD_GROWTH] > 0.0
+    is_dropping = noise[tables.DROPOUT] > 0.0
     for number in range(len(beams)):
         if not is_due(beams, number, episodes.steps[env]):
             continue
@@ -148,18 +148,9 @@ def read_beams(
         if is_dropping:
             uniform = unit(mixed(own + (place + _ONE) * GOLDEN))
         episodes.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
+        ideal = rays[0, number] - beams[number, tables.OFFSET]
         episodes.ranges[env, robot, number] = noisy_reading(
-            rays[0, number] - beams[number, tables.OFFSET],
-            hit,
-            beams[number, tables.SHORTEST_RANGE],
-            beams[number, tables.LONGEST_RANGE],
-            noise[env, tables.RANGE_STD],
-            noise[env, tables.STD_GROWTH],
-            noise[env, tables.DROPOUT],
-            noise[env, tables.RANGE_RESOLUTION],
-            noise[env, tables.FOLD_BACK],
-            random,
-            uniform,
+            ideal, hit, beams, number, noise, random, uniform
         )
 
 
@@ -191,7 +182,6 @@ def read_encoders(
 def hand_out(
     env: int,
     does: int,
-    robots: Robots,
     worlds: Worlds,
     episodes: Episodes,
     scratch: Scratch,
@@ -221,7 +211,7 @@ def hand_out(
             results.ranges[env, robot, beam] = episodes.ranges[env, robot, beam]
             results.wall_seen[env, robot, beam] = episodes.hits[env, robot, beam]
     coverage = episodes.covered[env] / worlds.totals[world]
-    results.time[env] = step * robots.control_period
+    results.time[env] = step * task.control_period
     results.coverage[env] = coverage
     results.terminated[env] = does == STEP and coverage >= task.goal
     results.truncated[env] = does == STEP and step >= task.max_steps
@@ -263,12 +253,11 @@ def advance_one(
         move(env, longest, robots.radius, walls, episodes, scratch)
     for robot in range(len(scratch.new_cells)):
         own = state + np.uint64(robot << 20) * GOLDEN
-        poses = episodes.poses[env]
-        scratch.new_cells[robot] = trace(
-            env, robot, world, step, robots, worlds, walls, poses, episodes.unseen, scratch
-        )
-        if episodes.noise[env, tables.CONE] > 0.0:
-            widen(robot, step, episodes.noise[env, tables.CONE], robots, walls, poses, scratch)
+        scratch.new_cells[robot] = trace(env, robot, robots, worlds, walls, episodes, scratch)
+        cone = episodes.noise[env, tables.CONE]
+        if cone > 0.0:
+            discs = Discs(robot, episodes.poses[env], robots.radius)
+            widen(step, cone, robots, walls, discs, scratch)
         read_beams(env, robot, own, worlds.layout[world, 0], robots, episodes, scratch)
         read_encoders(env, robot, own, episodes, scratch.turned)
 
@@ -315,5 +304,5 @@ def advance(
                     scratch.new_cells[robot] = 0
             else:
                 advance_one(env, tasks[env], actions, robots, worlds, episodes, scratch)
-            hand_out(env, tasks[env], robots, worlds, episodes, scratch, task, results)
+            hand_out(env, tasks[env], worlds, episodes, scratch, task, results)
         first = next_of(begun) * portion

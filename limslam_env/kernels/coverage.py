@@ -1,7 +1,6 @@
 """Coverage: the cells that rays cross and bodies touch.
 
-The grid of one environment is handed over as ``seen`` and ``coverable`` (rows, columns), row 0 at
-the bottom, and ``area``: the grid's lower left corner x, y and its cell side, m.
+The grid of one environment is a :class:`CellGrid`.
 
 The unseen cells of many environments have one bit each. A *tile*, a word of 64 bits, stands for 8 x
 8 cells, row by row from the lower left; the tiles of a grid follow each other in the same order. A
@@ -10,13 +9,14 @@ few words shows.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_env.compilation import compiled, floored, inlined, merged
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import crossings
+from limslam_env.kernels.rays import Ray, crossings
 
 # A body may overlap a wall by this much, m, and must not count as seeing the cells behind the wall.
 BODY_MARGIN = 1e-3
@@ -46,25 +46,48 @@ _ROW_MASKS = np.array(
 )
 
 
+class CellGrid(NamedTuple):
+    """The coverage of one environment.
+
+    Attributes
+    ----------
+    seen, coverable
+        Cells (rows, columns) that have been seen, and those that count; row 0 is at the bottom.
+    area
+        Lower left corner x, y of the grid and side of a cell (3,), m.
+    """
+
+    seen: BoolArray
+    coverable: BoolArray
+    area: FloatArray
+
+
+class TileGrid(NamedTuple):
+    """The unseen cells of an environment: its row of ``unseen``, the tiles in a row and in a
+    column, and lower left corner and side of a cell, m.
+    """
+
+    unseen: Words
+    env: int
+    columns: int
+    rows: int
+    low_x: float
+    low_y: float
+    cell: float
+
+
 @merged
-def mark_ray(
-    seen: BoolArray,
-    coverable: BoolArray,
-    area: FloatArray,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    reach: float,
-) -> int:
+def mark_ray(grid: CellGrid, ray: Ray) -> int:
     """Set every cell that a ray crosses; the number of coverable cells that are new."""
-    cell = area[2]
-    x = (x - area[0]) / cell
-    y = (y - area[1]) / cell
-    end = reach / cell - RAY_MARGIN
+    cell = grid.area[2]
+    end = ray.reach / cell - RAY_MARGIN
+    seen = grid.seen
+    coverable = grid.coverable
     rows, columns = seen.shape
-    column, column_step, next_column, per_column = crossings(x, dx, 1.0)
-    row, row_step, next_row, per_row = crossings(y, dy, 1.0)
+    x = (ray.x - grid.area[0]) / cell
+    y = (ray.y - grid.area[1]) / cell
+    column, column_step, next_column, per_column = crossings(x, ray.dx, 1.0)
+    row, row_step, next_row, per_row = crossings(y, ray.dy, 1.0)
     travelled = 0.0
     new = 0
     while travelled <= end:
@@ -91,13 +114,13 @@ def is_touched(column: int, row: int, x: float, y: float, radius: float) -> bool
 
 
 @merged
-def mark_disc(
-    seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float, y: float, radius: float
-) -> int:
+def mark_disc(grid: CellGrid, x: float, y: float, radius: float) -> int:
     """Set every cell that a body touches; the number of coverable cells that are new."""
-    cell = area[2]
-    x = (x - area[0]) / cell
-    y = (y - area[1]) / cell
+    seen = grid.seen
+    coverable = grid.coverable
+    cell = grid.area[2]
+    x = (x - grid.area[0]) / cell
+    y = (y - grid.area[1]) / cell
     radius = (radius - BODY_MARGIN) / cell
     rows, columns = seen.shape
     new = 0
@@ -116,14 +139,7 @@ def mark_disc(
 
 @merged
 def unseen_nearby(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    low_x: float,
-    low_y: float,
-    high_x: float,
-    high_y: float,
+    grid: TileGrid, low_x: float, low_y: float, high_x: float, high_y: float
 ) -> np.uint64:
     """Which unseen cells touch a rectangle of at most ``LONGEST_LOOK`` cells a side: 0 if there is
     none.
@@ -132,10 +148,11 @@ def unseen_nearby(
     joined, so that other numbers than 0 mean nothing more. No branches, no loops, no signed places
     in arrays: this is done for each ray and each body in each step, several at once.
     """
+    left = grid.unseen
     column0 = max(int(low_x), 0)
-    column1 = min(int(high_x), tile_columns * TILE - 1)
+    column1 = min(int(high_x), grid.columns * TILE - 1)
     row0 = max(int(low_y), 0)
-    row1 = min(int(high_y), tile_rows * TILE - 1)
+    row1 = min(int(high_y), grid.rows * TILE - 1)
     tile_column = column0 >> 3
     tile_row = row0 >> 3
     columns = _between(column0 - TILE * tile_column, column1 - TILE * tile_column)
@@ -143,10 +160,10 @@ def unseen_nearby(
     left_columns = (columns & _BYTE) * _EACH_ROW
     middle_columns = ((columns >> _EIGHT) & _BYTE) * _EACH_ROW
     right_columns = ((columns >> _SIXTEEN) & _BYTE) * _EACH_ROW
-    line = np.uint64(env)
-    low = np.uint64(tile_row * tile_columns + tile_column)
-    middle = low + np.uint64(tile_columns)
-    high = middle + np.uint64(tile_columns)
+    line = np.uint64(grid.env)
+    low = np.uint64(tile_row * grid.columns + tile_column)
+    middle = low + np.uint64(grid.columns)
+    high = middle + np.uint64(grid.columns)
     low_words = (left[line, low] & left_columns) | (left[line, low + _ONE] & middle_columns)
     low_words |= left[line, low + _TWO] & right_columns
     middle_words = (left[line, middle] & left_columns) | (
@@ -170,41 +187,34 @@ def _between(low: int, high: int) -> np.uint64:
 
 
 @inlined
-def take(left: Words, env: int, tile_columns: int, column: int, row: int) -> int:
+def take(grid: TileGrid, column: int, row: int) -> int:
     """Take a cell out of the unseen cells; 1 if it was one of them, else 0."""
-    tile = (row >> 3) * tile_columns + (column >> 3)
+    tile = (row >> 3) * grid.columns + (column >> 3)
     bit = _ONE << np.uint64((row & 7) * 8 + (column & 7))
-    word = left[env, tile]
+    word = grid.unseen[grid.env, tile]
     new = 1 if word & bit else 0
-    left[env, tile] = word & ~bit
+    grid.unseen[grid.env, tile] = word & ~bit
     return new
 
 
 @compiled
-def walk_ray(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    end: float,
-) -> int:
+def walk_ray(grid: TileGrid, ray: Ray) -> int:
     """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
 
-    The counterpart of :func:`mark_ray`. Lengths are in cells; the ray lies in the grid.
+    The counterpart of :func:`mark_ray`. The ray lies in the grid.
     """
-    columns = tile_columns * TILE
-    rows = tile_rows * TILE
-    column, column_step, next_column, per_column = crossings(x, dx, 1.0)
-    row, row_step, next_row, per_row = crossings(y, dy, 1.0)
+    columns = grid.columns * TILE
+    rows = grid.rows * TILE
+    end = ray.reach / grid.cell - RAY_MARGIN
+    column, column_step, next_column, per_column = crossings(
+        (ray.x - grid.low_x) / grid.cell, ray.dx, 1.0
+    )
+    row, row_step, next_row, per_row = crossings((ray.y - grid.low_y) / grid.cell, ray.dy, 1.0)
     travelled = 0.0
     new = 0
     while travelled <= end:
         if 0 <= row < rows and 0 <= column < columns:
-            new += take(left, env, tile_columns, column, row)
+            new += take(grid, column, row)
         # The axis is unpredictable: values are selected, because a branch would often be
         # mispredicted.
         is_column = next_column < next_row
@@ -217,18 +227,19 @@ def walk_ray(
 
 
 @compiled
-def walk_disc(
-    left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float
-) -> int:
+def walk_disc(grid: TileGrid, x: float, y: float, radius: float) -> int:
     """Take every cell that a body touches out of the unseen cells; returns how many there were.
 
-    The counterpart of :func:`mark_disc`. Lengths are in cells.
+    The counterpart of :func:`mark_disc`.
     """
-    columns = tile_columns * TILE
-    rows = tile_rows * TILE
+    columns = grid.columns * TILE
+    rows = grid.rows * TILE
+    x = (x - grid.low_x) / grid.cell
+    y = (y - grid.low_y) / grid.cell
+    radius = (radius - BODY_MARGIN) / grid.cell
     new = 0
     for row in range(max(floored(y - radius), 0), min(floored(y + radius), rows - 1) + 1):
         for column in range(max(floored(x - radius), 0), min(floored(x + radius), columns - 1) + 1):
             if is_touched(column, row, x, y, radius):
-                new += take(left, env, tile_columns, column, row)
+                new += take(grid, column, row)
     return new

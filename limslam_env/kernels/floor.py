@@ -1,13 +1,14 @@
 """The floor of a building: where a disc fits, and what can be seen from a region of it."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.kernels.coverage import mark_ray
-from limslam_env.kernels.rays import Walls, first_wall
+from limslam_env.kernels.coverage import CellGrid, mark_ray
+from limslam_env.kernels.rays import Ray, Walls, first_wall
 
 
 @inlined
@@ -105,48 +106,53 @@ def clear_inside(
                 free[row, column] = False
 
 
+class Lookout(NamedTuple):
+    """A region of free space, and what is seen from it.
+
+    Attributes
+    ----------
+    walls
+        The walls of the world.
+    views, reach
+        Unit vectors (v, 2) to look along, and how far robots see, m.
+    space, region, inner
+        The grid of free space: lower left corner x, y and cell side (3,), m; the cells of the
+        region (rows, columns), and those with all of their neighbours in it.
+    grid
+        The coverage, whose coverable cells are changed.
+    """
+
+    walls: Walls
+    views: FloatArray
+    reach: float
+    space: FloatArray
+    region: BoolArray
+    inner: BoolArray
+    grid: CellGrid
+
+
 @merged
-def look_around(
-    x: float,
-    y: float,
-    views: FloatArray,
-    reach: float,
-    walls: Walls,
-    region: BoolArray,
-    space: FloatArray,
-    area: FloatArray,
-    coverable: BoolArray,
-) -> None:
-    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the
+def look_around(x: float, y: float, lookout: Lookout) -> None:
+    """Mark the cells that can be seen from (x, y), m, along those of the views that leave the
     region at once.
     """
-    low_x = space[0]
-    low_y = space[1]
-    side = space[2]
+    region = lookout.region
+    low_x = lookout.space[0]
+    low_y = lookout.space[1]
+    side = lookout.space[2]
     rows, columns = region.shape
-    for view in range(len(views)):
-        dx = views[view, 0]
-        dy = views[view, 1]
+    for view in range(len(lookout.views)):
+        dx = lookout.views[view, 0]
+        dy = lookout.views[view, 1]
         column = math.floor((x + 1.5 * side * dx - low_x) / side)
         row = math.floor((y + 1.5 * side * dy - low_y) / side)
         if not (0 <= row < rows and 0 <= column < columns and region[row, column]):
-            distance, _ = first_wall(x, y, dx, dy, reach, walls)
-            mark_ray(coverable, coverable, area, x, y, dx, dy, distance)
+            distance, _ = first_wall(Ray(x, y, dx, dy, lookout.reach), lookout.walls)
+            mark_ray(lookout.grid, Ray(x, y, dx, dy, distance))
 
 
 @lean_entry
-def look_out(
-    walls: Walls,
-    views: FloatArray,
-    reach: float,
-    loose: FloatArray,
-    space: FloatArray,
-    region: BoolArray,
-    inner: BoolArray,
-    area: FloatArray,
-    coverable: BoolArray,
-    is_taken: BoolArray,
-) -> None:
+def look_out(lookout: Lookout, loose: FloatArray, is_seen_from: BoolArray) -> None:
     """Mark the cells that robots can cover from a region: those in it, and those that can be seen
     from it.
 
@@ -155,21 +161,18 @@ def look_out(
 
     Parameters
     ----------
-    views, reach, loose
-        Unit vectors (v, 2) to look along, how far robots see, m, and further places (n, 2), m, to
-        look from.
-    space, region, inner
-        The grid of free space: lower left corner x, y and cell side, m; the cells of the region
-        (rows, columns), and those with all of their neighbours in it.
-    area, coverable
-        The coverage grid: lower left corner and cell side, m; and its cells, changed.
-    is_taken
+    loose
+        Further places (n, 2), m, to look from.
+    is_seen_from
         Scratch memory (rows, columns), all false, with a cell for each of the coverage around the
         region.
     """
-    low_x = space[0]
-    low_y = space[1]
-    side = space[2]
+    region = lookout.region
+    coverable = lookout.grid.coverable
+    area = lookout.grid.area
+    low_x = lookout.space[0]
+    low_y = lookout.space[1]
+    side = lookout.space[2]
     cell = area[2]
     rows, columns = region.shape
     first_x = math.floor(low_x / cell)
@@ -181,13 +184,11 @@ def look_out(
                 continue
             x = low_x + (column + 0.5) * side
             coverable[math.floor((y - area[1]) / cell), math.floor((x - area[0]) / cell)] = True
-            if inner[row, column]:
+            if lookout.inner[row, column]:
                 continue
             place = math.floor(y / cell) - first_y, math.floor(x / cell) - first_x
-            if not is_taken[place]:
-                is_taken[place] = True
-                look_around(x, y, views, reach, walls, region, space, area, coverable)
+            if not is_seen_from[place]:
+                is_seen_from[place] = True
+                look_around(x, y, lookout)
     for number in range(len(loose)):
-        look_around(
-            loose[number, 0], loose[number, 1], views, reach, walls, region, space, area, coverable
-        )
+        look_around(loose[number, 0], loose[number, 1], lookout)

@@ -3,12 +3,15 @@ measurements.
 """
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray, se2
 from limslam_env.kernels import readings as tables
-from limslam_env.kernels.coverage import mark_disc, mark_ray
-from limslam_env.kernels.rays import Walls, measure, nearest_in_cone, turned
+from limslam_env.kernels.coverage import CellGrid, mark_disc, mark_ray
+from limslam_env.kernels.rays import Cone, Discs, Ray, Walls, measure, nearest_in_cone, turned
 from limslam_env.kernels.readings import is_due, noisy_reading, reported_travel, way_over_ground
 
 AXLE, CLEARANCE, LONGEST = range(3)
@@ -43,6 +46,80 @@ def move_freely(poses: FloatArray, ground: FloatArray, motion: FloatArray) -> bo
             motion[AXLE],
         )
     return True
+
+
+class Scene(NamedTuple):
+    """The robots of one simulation, what they are among, and what they measure.
+
+    Attributes
+    ----------
+    poses, motion
+        Robots (n, 3), m and rad; and (3,), see ``AXLE``.
+    travel, ground
+        How far the wheels turn (n, 2), m, and the distance (n, 2), m, that they move over the
+        ground.
+    radius, beams, noise
+        Of their bodies, m; (n_beams, 12) and (14,), see :mod:`limslam_env.kernels.readings`.
+    walls
+        The walls around them.
+    seen, coverable, area
+        The coverage: see :class:`limslam_env.kernels.coverage.CellGrid`.
+    unreported, hits, ranges
+        Kept from step to step: travel that the encoders have not reported so far (n, 2), m; and the
+        wall that each beam hit, and its reading, m, (n, n_beams).
+    wheels, new_cells
+        What the encoders say (n, 2), m, and the number of cells (n,) that each robot covered as the
+        first.
+    """
+
+    poses: FloatArray
+    motion: FloatArray
+    travel: FloatArray
+    ground: FloatArray
+    radius: float
+    beams: FloatArray
+    noise: FloatArray
+    walls: Walls
+    seen: BoolArray
+    coverable: BoolArray
+    area: FloatArray
+    unreported: FloatArray
+    hits: IntArray
+    ranges: ReadingArray
+    wheels: ReadingArray
+    new_cells: IntArray
+
+
+def new_scene(
+    poses: FloatArray,
+    motion: FloatArray,
+    radius: float,
+    beams: FloatArray,
+    noise: FloatArray,
+    walls: Walls,
+    grid: CellGrid,
+) -> Scene:
+    """A scene in which no robot has moved or measured yet."""
+    count = len(poses)
+    shape = count, len(beams)
+    return Scene(
+        poses=poses,
+        motion=motion,
+        travel=np.zeros((count, 2)),
+        ground=np.zeros((count, 2)),
+        radius=radius,
+        beams=beams,
+        noise=noise,
+        walls=walls,
+        seen=grid.seen,
+        coverable=grid.coverable,
+        area=grid.area,
+        unreported=np.zeros((count, 2)),
+        hits=np.zeros(shape, dtype=np.int64),
+        ranges=np.zeros(shape, dtype=np.float32),
+        wheels=np.zeros((count, 2), dtype=np.float32),
+        new_cells=np.zeros(count, dtype=np.int64),
+    )
 
 
 @lean_entry
@@ -81,23 +158,12 @@ def drive_and_observe(
         Number of this step; beams whose turn it is not keep ``hits`` and ``ranges``.
     draws
         (n, n_beams + 2, 2) numbers from N(0, 1) and U(0, 1): for each beam, then for each wheel.
-    poses, motion
-        Robots (n, 3), m and rad, changed in place; and (3,), see ``AXLE``, of which the clearance
-        changes.
-    travel, ground
-        How far the wheels turn (n, 2), m, and the distance (n, 2), m, that they move over the
-        ground, which is set.
-    radius, beams, noise
-        Of their bodies, m; (n_beams, 12) and (14,), see :mod:`limslam_env.kernels.readings`.
-    seen, coverable, area
-        The grid of what has been seen.
-    unreported, hits, ranges
-        Kept from step to step: travel that the encoders have not reported so far (n, 2), m; and the
-        wall that each beam hit, and its reading, m, (n, n_beams).
-    wheels, new_cells
-        Set to what the encoders say (n, 2), m, and to the number of cells (n,) that each robot
-        covered as the first.
+
+    The rest are the fields of a :class:`Scene`, since a tuple of tuples takes longer to hand over
+    than their arrays. ``poses``, the clearance of ``motion``, ``ground``, ``seen`` and what follows
+    ``area`` are changed in place.
     """
+    grid = CellGrid(seen, coverable, area)
     if not is_moved:
         for robot in range(len(poses)):
             for side in range(2):
@@ -116,12 +182,13 @@ def drive_and_observe(
         heading = poses[robot, 2]
         cos = math.cos(heading)
         sin = math.sin(heading)
-        new = mark_disc(seen, coverable, area, body_x, body_y, radius)
+        new = mark_disc(grid, body_x, body_y, radius)
+        discs = Discs(robot, poses, radius)
         for number in range(len(beams)):
             if not is_due(beams, number, step):
                 continue
             offset = beams[number, tables.OFFSET]
-            longest = beams[number, tables.LONGEST_RANGE]
+            reach = beams[number, tables.LONGEST_RANGE] + offset
             # The rim may touch a wall, and a ray from there start behind it: rays start inside the
             # body.
             rim_x, rim_y = turned(
@@ -134,35 +201,19 @@ def drive_and_observe(
             )
             x = rim_x - offset * dx
             y = rim_y - offset * dy
-            reach = longest + offset
-            distance, hit = measure(robot, poses, radius, x, y, dx, dy, reach, walls)
-            new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
+            distance, hit = measure(Ray(x, y, dx, dy, reach), discs, walls)
+            new += mark_ray(grid, Ray(x, y, dx, dy, distance))
             if noise[tables.CONE] > 0.0:
-                distance, hit = nearest_in_cone(
-                    robot,
-                    distance,
-                    hit,
-                    rim_x,
-                    rim_y,
-                    heading + beams[number, tables.ANGLE],
-                    offset,
-                    reach,
-                    noise[tables.CONE],
-                    radius,
-                    poses,
-                    walls,
-                )
+                angle = heading + beams[number, tables.ANGLE]
+                cone = Cone(rim_x, rim_y, angle, noise[tables.CONE], offset, reach)
+                distance, hit = nearest_in_cone(cone, distance, hit, discs, walls)
             hits[robot, number] = hit
             ranges[robot, number] = noisy_reading(
                 distance - offset,
                 hit,
-                beams[number, tables.SHORTEST_RANGE],
-                longest,
-                noise[tables.RANGE_STD],
-                noise[tables.STD_GROWTH],
-                noise[tables.DROPOUT],
-                noise[tables.RANGE_RESOLUTION],
-                noise[tables.FOLD_BACK],
+                beams,
+                number,
+                noise,
                 draws[robot, number, 0],
                 draws[robot, number, 1],
             )

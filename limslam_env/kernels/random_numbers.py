@@ -6,7 +6,7 @@ number.
 """
 
 import math
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,13 +154,30 @@ def draw_rows(
         draw_row(keys[number], lowest, spans, places, numbers[number])
 
 
+class FreeCells(NamedTuple):
+    """The cells in which robots may start.
+
+    Attributes
+    ----------
+    runs
+        (r, 2): the number of the first of some cells side by side, and how many cells come before
+        it.
+    number
+        Number of the cells.
+    space
+        Lower left corner x, y and side of the cells, m, and number of columns of their grid (4,).
+    """
+
+    runs: IntArray
+    number: int
+    space: FloatArray
+
+
 @merged
 def draw_start(
     key: np.uint64,
     num_given: int,
-    runs: IntArray,
-    count: int,
-    space: FloatArray,
+    cells: FreeCells,
     apart: float,
     poses: FloatArray,
     tries: int,
@@ -168,11 +185,12 @@ def draw_start(
     """Put robots from the ``num_given``-th on at random free cells; returns whether there was
     enough space.
 
-    The free cells are ``runs`` (r, 2): the number of the first of some cells side by side, and how
-    many cells come before it; there are ``count`` cells. Their grid is ``space``: lower left corner
-    x, y, cell side (m) and columns. Robots are ``apart`` (m) at least. Of ``poses`` (m, 3), m and
-    rad, those that are given are set already. For all robots together so many places are tried.
+    Robots are ``apart`` (m) at least. Of ``poses`` (m, 3), m and rad, those that are given are set
+    already. For all robots together so many places are tried.
     """
+    runs = cells.runs
+    count = cells.number
+    space = cells.space
     columns = int(space[3])
     state = key
     placed = num_given
@@ -205,9 +223,7 @@ def draw_start(
 def draw_starts(
     keys: Words,
     num_given: int,
-    runs: IntArray,
-    count: int,
-    space: FloatArray,
+    cells: FreeCells,
     apart: float,
     poses: FloatArray,
     tries: int,
@@ -216,6 +232,6 @@ def draw_starts(
     had enough space.
     """
     for env in range(len(keys)):
-        if not draw_start(keys[env], num_given, runs, count, space, apart, poses[env], tries):
+        if not draw_start(keys[env], num_given, cells, apart, poses[env], tries):
             return False
     return True

@@ -49,6 +49,47 @@ class Walls(NamedTuple):
     first_cell: int
 
 
+class Ray(NamedTuple):
+    """A ray: where it starts, m, its direction as a unit vector, and its longest length, m."""
+
+    x: float
+    y: float
+    dx: float
+    dy: float
+    reach: float
+
+
+class Discs(NamedTuple):
+    """The robots of one environment, as a ray of one of them meets the others.
+
+    Attributes
+    ----------
+    owner
+        Number of the robot that the ray belongs to.
+    poses
+        Of all of them (n, 2 or more columns), m.
+    radius
+        Of their bodies, m.
+    """
+
+    owner: int
+    poses: FloatArray
+    radius: float
+
+
+class Cone(NamedTuple):
+    """The cone of a beam: a point on the rim of the body, m, the direction of its middle and half
+    its opening, rad, how far before that point its rays start, m, and their length, m.
+    """
+
+    x: float
+    y: float
+    angle: float
+    half_angle: float
+    offset: float
+    reach: float
+
+
 @lean_entry
 def list_walls(
     walls: Walls, border: float, taken: IntArray, cell_starts: IntArray, cell_edges: IntArray
@@ -133,15 +174,14 @@ def meeting(ax: float, ay: float, ex: float, ey: float, dx: float, dy: float) ->
 
 
 @merged
-def first_wall(
-    x: float, y: float, dx: float, dy: float, reach: float, walls: Walls
-) -> tuple[float, int]:
-    """Distance (m) and index of the first wall on a ray; ``reach`` and ``NOTHING`` if it meets no
+def first_wall(ray: Ray, walls: Walls) -> tuple[float, int]:
+    """Distance (m) and index of the first wall on a ray; its reach and ``NOTHING`` if it meets no
     wall.
 
     The ray starts inside the grid of the walls' cells, goes from cell to cell, and stops in the
     first cell with a hit.
     """
+    x, y, dx, dy, best = ray
     edges = walls.edges
     cell_starts = walls.cell_starts
     cell_edges = walls.cell_edges
@@ -151,7 +191,6 @@ def first_wall(
     first_cell = walls.first_cell
     column, column_step, next_column, per_column = crossings((x - walls.low_x) / side, dx, side)
     row, row_step, next_row, per_row = crossings((y - walls.low_y) / side, dy, side)
-    best = reach
     hit = NOTHING
     travelled = 0.0
     while travelled <= best and 0 <= column < columns and 0 <= row < rows:
@@ -186,48 +225,27 @@ def turned(x: float, y: float, cos: float, sin: float) -> tuple[float, float]:
 
 
 @compiled
-def cast_at_discs(
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    reach: float,
-    owner: int,
-    centres: FloatArray,
-    radius: float,
-) -> float:
-    """Distance (m) of the first of the discs ``centres`` (m, 2 or more columns) on a ray; not of
-    its owner's.
-    """
-    best = reach
-    for disc in range(len(centres)):
-        if disc == owner:
+def cast_at_discs(ray: Ray, discs: Discs) -> float:
+    """Distance (m) of the first of the discs on a ray, but not of its owner's; else its reach."""
+    best = ray.reach
+    for disc in range(len(discs.poses)):
+        if disc == discs.owner:
             continue
-        ox = centres[disc, 0] - x
-        oy = centres[disc, 1] - y
-        ahead = ox * dx + oy * dy
-        aside = radius * radius - (ox * ox + oy * oy - ahead * ahead)
+        ox = discs.poses[disc, 0] - ray.x
+        oy = discs.poses[disc, 1] - ray.y
+        ahead = ox * ray.dx + oy * ray.dy
+        aside = discs.radius * discs.radius - (ox * ox + oy * oy - ahead * ahead)
         if aside > 0.0 and ahead > 0.0:
             best = min(best, max(ahead - math.sqrt(aside), 0.0))
     return best
 
 
 @merged
-def measure(
-    robot: int,
-    poses: FloatArray,
-    radius: float,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    reach: float,
-    walls: Walls,
-) -> tuple[float, int]:
+def measure(ray: Ray, discs: Discs, walls: Walls) -> tuple[float, int]:
     """Distance (m) of the first wall or other robot on a ray of one robot, and which it is."""
-    distance, hit = first_wall(x, y, dx, dy, reach, walls)
-    if len(poses) > 1:
-        disc = cast_at_discs(x, y, dx, dy, distance, robot, poses, radius)
+    distance, hit = first_wall(ray, walls)
+    if len(discs.poses) > 1:
+        disc = cast_at_discs(Ray(ray.x, ray.y, ray.dx, ray.dy, distance), discs)
         if disc < distance:
             return disc, ROBOT
     return distance, hit
@@ -235,32 +253,17 @@ def measure(
 
 @merged
 def nearest_in_cone(
-    robot: int,
-    distance: float,
-    hit: int,
-    x: float,
-    y: float,
-    angle: float,
-    offset: float,
-    reach: float,
-    cone: float,
-    radius: float,
-    poses: FloatArray,
-    walls: Walls,
+    cone: Cone, distance: float, hit: int, discs: Discs, walls: Walls
 ) -> tuple[float, int]:
     """The nearest of what the rays of a cone meet: ``distance`` (m) and ``hit`` of its middle, or
     nearer ones.
-
-    The cone opens by ``cone`` (rad) to both sides of ``angle`` (rad) at the point (x, y), m, on the
-    rim of the body; its rays start ``offset`` (m) before that point and have the length ``reach``
-    (m).
     """
     for share in SHARES:
-        dx = math.cos(angle + share * cone)
-        dy = math.sin(angle + share * cone)
-        aside, other = measure(
-            robot, poses, radius, x - offset * dx, y - offset * dy, dx, dy, reach, walls
-        )
+        dx = math.cos(cone.angle + share * cone.half_angle)
+        dy = math.sin(cone.angle + share * cone.half_angle)
+        x = cone.x - cone.offset * dx
+        y = cone.y - cone.offset * dy
+        aside, other = measure(Ray(x, y, dx, dy, cone.reach), discs, walls)
         if aside < distance:
             distance = aside
             hit = other
@@ -280,11 +283,7 @@ def cast_rays(
     reaches (n,), m.
     """
     for ray in range(len(origins)):
-        distances[ray], hits[ray] = first_wall(
-            origins[ray, 0],
-            origins[ray, 1],
-            directions[ray, 0],
-            directions[ray, 1],
-            lengths[ray],
-            walls,
-        )
+        start_x = origins[ray, 0]
+        start_y = origins[ray, 1]
+        along = Ray(start_x, start_y, directions[ray, 0], directions[ray, 1], lengths[ray])
+        distances[ray], hits[ray] = first_wall(along, walls)

@@ -58,28 +58,31 @@ def way_over_ground(turn: float, rate: float, share: float, uniform: float) -> f
 def noisy_reading(
     ideal: float,
     hit: int,
-    shortest: float,
-    longest: float,
-    deviation: float,
-    growth: float,
-    dropout: float,
-    resolution: float,
-    fold_back: float,
+    beams: FloatArray,
+    number: int,
+    noise: FloatArray,
     normal: float,
     uniform: float,
 ) -> float:
     """The reading (m) of a beam for a true distance ``ideal`` (m), with random numbers from N(0, 1)
     and U(0, 1).
 
-    Noise: standard deviation (m), its growth (1/m, times the squared range), chance of a dropout,
-    resolution (m) and fold-back (m per metre nearer than ``shortest``). A beam that hits nothing
-    reads ``longest`` exactly.
+    ``noise`` (14,) has the standard deviation (m), its growth (1/m, times the squared range), the
+    chance of a dropout, resolution (m) and fold-back (m per metre nearer than the shortest
+    reading). A beam that hits nothing has its longest reading exactly.
     """
-    if hit == NOTHING or uniform < dropout:
+    shortest: float = beams[number, SHORTEST_RANGE]
+    longest: float = beams[number, LONGEST_RANGE]
+    if hit == NOTHING or uniform < noise[DROPOUT]:
         return longest
-    std = math.hypot(deviation, growth * ideal * ideal) if growth > 0.0 else deviation
-    folds = fold_back > 0.0 and ideal < shortest
-    reading = (shortest + fold_back * (shortest - ideal) if folds else ideal) + std * normal
+    std = noise[RANGE_STD]
+    if noise[STD_GROWTH] > 0.0:
+        std = math.hypot(std, noise[STD_GROWTH] * ideal * ideal)
+    folds = noise[FOLD_BACK] > 0.0 and ideal < shortest
+    reading: float = (
+        shortest + noise[FOLD_BACK] * (shortest - ideal) if folds else ideal
+    ) + std * normal
+    resolution: float = noise[RANGE_RESOLUTION]
     if resolution > 0.0:
         reading = math.floor(reading / resolution + 0.5) * resolution
     return min(max(reading, shortest), longest)

@@ -7,7 +7,8 @@ import numpy as np
 
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.floor import look_out
+from limslam_env.kernels.coverage import CellGrid
+from limslam_env.kernels.floor import Lookout, look_out
 from limslam_env.simulation.sensors import build_wall_index
 from limslam_env.worlds.free_space import eroded
 from limslam_env.worlds.world import World
@@ -64,18 +65,16 @@ def _coverage_grid(
     for region in regions:
         reachable |= space.labels == region
     around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
-    look_out(
+    lookout = Lookout(
         walls,
         _VIEWS,
         robot.reach,
-        np.array(loose).reshape(-1, 2),
         np.array([*space.origin, space.cell]),
         reachable,
         eroded(reachable),
-        grid.area,
-        grid.coverable,
-        np.zeros(around.astype(int), dtype=bool),
+        CellGrid(grid.coverable, grid.coverable, grid.area),
     )
+    look_out(lookout, np.array(loose).reshape(-1, 2), np.zeros(around.astype(int), dtype=bool))
     return grid
 
 

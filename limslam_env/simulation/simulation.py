@@ -11,7 +11,8 @@ import numpy as np
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.observation import drive_and_observe
+from limslam_env.kernels.coverage import CellGrid
+from limslam_env.kernels.observation import drive_and_observe, new_scene
 from limslam_env.kernels.readings import TRUE_AXLE
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
 from limslam_env.simulation.imu import Imu
@@ -87,7 +88,7 @@ class Simulation:
     @property
     def seen(self) -> BoolArray:
         """Which cells of the coverage grid have truly been seen (rows, columns); a copy."""
-        return self._seen.copy()
+        return self._scene.seen.copy()
 
     @property
     def poses(self) -> FloatArray:
@@ -129,33 +130,17 @@ class Simulation:
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
         self.coverage_grid = grid = coverage_grid(self.world, robot, poses)
         self._total = max(grid.total, 1)
-        self._seen = np.zeros_like(grid.coverable)
         self._covered = self._steps = 0
-        shape = (count, len(robot.beams))
-        self._hits = np.zeros(shape, dtype=np.int64)
-        self._ranges = np.zeros(shape, dtype=np.float32)
-        self._travel, self._ground, self._unreported = (np.zeros((count, 2)) for _ in range(3))
-        self._reported = np.zeros((count, 2), dtype=np.float32)
-        self._new_cells = np.zeros(count, dtype=np.int64)
-        self._arrays = (
+        self._scene = new_scene(
             self._physics.current,
             self._physics.motion,
-            self._travel,
-            self._ground,
             robot.radius,
             self._beams,
             self._noise,
             self._walls,
-            self._seen,
-            grid.coverable,
-            grid.area,
-            self._unreported,
-            self._hits,
-            self._ranges,
-            self._reported,
-            self._new_cells,
+            CellGrid(np.zeros_like(grid.coverable), grid.coverable, grid.area),
         )
-        drive_and_observe(True, 0, self._draws.next(), *self._arrays)  # noqa: FBT003 (kernels take no keywords)
+        drive_and_observe(True, 0, self._draws.next(), *self._scene)  # noqa: FBT003 (kernels take no keywords)
         return self._results([False] * count)
 
     def carry(self, number: int, pose: FloatArray) -> None:
@@ -177,27 +162,29 @@ class Simulation:
             )
         self._steps += 1
         draws = self._draws.next()
-        travel = self._travel
+        travel = self._scene.travel
         for robot, (left, right) in enumerate(actions):
             travel[robot, 0], travel[robot, 1] = (
                 _clipped(left) * self._farthest,
                 _clipped(right) * self._farthest,
             )
         contact = [False] * self.num_robots
-        if not drive_and_observe(False, self._steps, draws, *self._arrays):  # noqa: FBT003
-            contact = self._physics.step(self._ground.tolist(), self.robot.control_period)
-            drive_and_observe(True, self._steps, draws, *self._arrays)  # noqa: FBT003
+        if not drive_and_observe(False, self._steps, draws, *self._scene):  # noqa: FBT003
+            contact = self._physics.step(self._scene.ground.tolist(), self.robot.control_period)
+            drive_and_observe(True, self._steps, draws, *self._scene)  # noqa: FBT003
         return self._results(contact)
 
     def _results(self, contact: list[bool]) -> tuple[Readings, Truth]:
-        new_cells = self._new_cells.tolist()
+        new_cells = self._scene.new_cells.tolist()
         self._covered += sum(new_cells)
         time = self._steps * self.robot.control_period
         coverage = self._covered / self._total
         new_area = [cells * _CELL_AREA for cells in new_cells]
-        truth = Truth(self._physics.poses, time, coverage, new_area, contact, self._hits.copy())
+        truth = Truth(
+            self._physics.poses, time, coverage, new_area, contact, self._scene.hits.copy()
+        )
         yaw = None if self._imu is None else self._imu.read(truth.poses[:, 2])
-        return Readings(self._ranges.copy(), self._reported.copy(), yaw), truth
+        return Readings(self._scene.ranges.copy(), self._scene.wheels.copy(), yaw), truth
 
 
 def _clipped(speed: float) -> float:

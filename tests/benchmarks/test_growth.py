@@ -9,7 +9,7 @@ import pytest
 from benchmarks.growth import CASES, hours_of
 from limslam_agent import preset
 from limslam_agent.config.smoother import RenewalConfig
-from limslam_agent.places import recovery
+from limslam_agent.mapping import recovery
 
 CONFIG = replace(preset("graph"), renewal=RenewalConfig(period=50.0))
 

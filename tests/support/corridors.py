@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from support.drives import along, drive, room
 
-from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.map_graph.key_poses import LogData
 from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import beams_on_rim

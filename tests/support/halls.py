@@ -8,8 +8,8 @@ from support.drives import ranges_at
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import drawn_grid
 from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.record import Scan
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.rays import Sight
 from limslam_env import RobotSpec
 from limslam_env.geometry import se2
 
@@ -67,7 +67,7 @@ def drive(corners, segments, frame=(0.0, 0.0, 0.0), sensor=SENSOR):
     """The steps of a drive, in the frame of a pose (3,)."""
     poses = poses_along(corners)
     local = se2.compose(se2.inverse(np.array(frame)), poses)
-    return [Sight(*each) for each in zip(local, readings(poses, segments, sensor), strict=True)]
+    return [Scan(*each) for each in zip(local, readings(poses, segments, sensor), strict=True)]
 
 
 def known(corners, segments):

@@ -1,1 +1,1 @@
-"""A graph of local maps with loops, which smooths a recorded log after its end."""
+"""The factor graph of both smoothers: nodes, factors, robust weights, solution and covariances."""

@@ -13,11 +13,8 @@ from scipy.sparse.linalg import SuperLU
 
 from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.limits import LINE_PRIOR
-from limslam_agent.slam.least_squares.normal_equations import (
-    DegenerateError,
-    NormalEquations,
-    pose_columns,
-)
+from limslam_agent.slam.graph.factors import prior
+from limslam_agent.slam.graph.graph import DegenerateError, Factors, Graph, Keys, Nodes
 from limslam_agent.slam.line_graph.factors import motion_jacobians
 from limslam_agent.slam.line_graph.problem import Expected, Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -51,20 +48,14 @@ class Unknowns:
     calibrated: int
     lines: int
 
-    @property
-    def first_calibration(self) -> int:
-        """Column of the first calibration."""
-        return 3 * self.robots * self.steps
-
-    @property
-    def first_line(self) -> int:
-        """Column of the first line."""
-        return self.first_calibration + self.calibrated * self.robots
-
-    @property
-    def size(self) -> int:
-        """Number of unknowns."""
-        return self.first_line + 2 * self.lines
+    @cached_property
+    def nodes(self) -> Nodes:
+        """The nodes of the graph."""
+        return Nodes(
+            poses=(self.robots * self.steps, 3),
+            calibrations=(self.robots, self.calibrated),
+            lines=(self.lines, 2),
+        )
 
     @cached_property
     def ends(self) -> IntArray:
@@ -78,9 +69,8 @@ class Unknowns:
         """The columns that are eliminated last, in this order: last poses of blocks, calibrations
         and lines.
         """
-        return np.append(
-            pose_columns(self.ends).ravel(), np.arange(self.first_calibration, self.size)
-        )
+        poses = self.nodes.columns("poses")
+        return np.append(poses[self.ends].ravel(), np.arange(poses.size, self.nodes.size))
 
     @property
     def order(self) -> IntArray:
@@ -90,7 +80,7 @@ class Unknowns:
         inner = np.ones((self.robots, self.steps), dtype=bool)
         inner[:, 0] = False
         inner.ravel()[self.ends] = False
-        return np.append(pose_columns(np.flatnonzero(inner)).ravel(), self.kept)
+        return np.append(self.nodes.columns("poses")[inner.ravel()].ravel(), self.kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,20 +94,20 @@ class Solution:
     weights
         Weights (k,) of the readings: their inverse variances, 1/m^2; 0 for readings without a line
         and grazing ones.
-    unknowns, equations, factors
-        The equations, linearised at the state before the last step, and their factors.
+    unknowns, graph, factors
+        The graph, linearised at the state before the last step, and the factors of its matrix.
     """
 
     state: State
     weights: FloatArray
     unknowns: Unknowns
-    equations: NormalEquations
+    graph: Graph
     factors: SuperLU
 
     @cached_property
     def covariance(self) -> FloatArray:
         """Joint covariance of the unknowns that are eliminated last."""
-        return self.equations.covariance_of_last(self.factors, len(self.unknowns.kept))
+        return self.graph.covariance_of_last(self.factors, len(self.unknowns.kept))
 
     @property
     def of_calibration(self) -> FloatArray:
@@ -135,8 +125,7 @@ class Solution:
     @property
     def of_poses(self) -> FloatArray:
         """Covariances (n, t, 3, 3) of all poses; those of the known starts are zero."""
-        poses = np.arange(self.unknowns.robots * self.unknowns.steps)
-        return self.equations.marginals(pose_columns(poses)).reshape(*self.state.poses.shape, 3)
+        return self.graph.marginals("poses").reshape(*self.state.poses.shape, 3)
 
 
 def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
@@ -154,7 +143,7 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
     sharing = np.bincount(labels + 1)[labels + 1]
-    graph = _Graph(problem, labels, unknowns)
+    linearisation = _Linearisation(problem, labels, unknowns)
     weights = np.zeros(len(labels))
     for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
@@ -163,15 +152,15 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
             curved /= readings.by_line[:, 0]
             variances = problem.variances(state, readings) + sharing * curved**2
             weights = not_grazing(readings, labels) / variances
-        graph.linearise(state, readings, weights)
-        factors = graph.equations.factorise()
-        step = -graph.equations.solved(factors, graph.equations.gradient)
+        graph = linearisation.graph(state, readings, weights)
+        factors = graph.factorise()
+        step = -graph.solved(factors, graph.gradient)
         if not np.isfinite(step).all():
             raise DegenerateError("the readings do not determine the poses")
-        state, change = graph.descend(state, step, readings, weights)
+        state, change = linearisation.descend(state, step, readings, weights)
         if change < _CONVERGED:
             break
-    return Solution(state, weights, unknowns, graph.equations, factors)
+    return Solution(state, weights, unknowns, graph, factors)
 
 
 def chi_square(problem: Problem, state: State, readings: Expected, weights: FloatArray) -> float:
@@ -224,7 +213,7 @@ def where_read(problem: Problem, state: State, labels: IntArray) -> State:
     return replace(state, poses=state.poses + moved_by.reshape(state.poses.shape))
 
 
-class _Graph:
+class _Linearisation:
     """The factors of a problem, which are linearised about one state after the other."""
 
     def __init__(self, problem: Problem, labels: IntArray, unknowns: Unknowns) -> None:
@@ -232,23 +221,22 @@ class _Graph:
         self._labels = labels
         self._unknowns = unknowns
 
-    def linearise(self, state: State, readings: Expected, weights: FloatArray) -> None:
-        """Sum up the factors, linearised about a state."""
+    def graph(self, state: State, readings: Expected, weights: FloatArray) -> Graph:
+        """The factors, linearised about a state."""
         unknowns = self._unknowns
-        equations = self.equations = NormalEquations(unknowns.size, unknowns.order)
-        self._add_motions(state)
-        self._add_readings(state, readings, weights)
+        graph = Graph(unknowns.nodes, unknowns.order)
+        if self._problem.prior is not None:
+            off = state.calibration - self._problem.prior_calibration
+            graph.add(prior("calibrations", off, self._problem.information))
+        graph.add(self._wheels(state))
+        graph.add(self._ranges(state, readings, weights))
         # Each line has a wide prior, which keeps its equations regular if it was read only once.
-        lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
-        equations.add(
-            lines,
-            np.tile(np.diag(1.0 / np.sqrt(LINE_PRIOR)), (len(lines), 1, 1)),
-            np.zeros(lines.shape),
-        )
+        graph.add(prior("lines", np.zeros_like(state.lines), np.diag(1.0 / np.array(LINE_PRIOR))))
         # The unknowns that are eliminated last get an entry for each pair, since their joint
         # covariance is asked for.
         count = len(unknowns.kept)
-        equations.add_blocks(unknowns.kept[None], np.zeros((1, count, count)), np.zeros((1, count)))
+        graph.add_sums(unknowns.kept[None], np.zeros((1, count, count)), np.zeros((1, count)))
+        return graph
 
     def descend(
         self, state: State, step: FloatArray, readings: Expected, weights: FloatArray
@@ -261,15 +249,13 @@ class _Graph:
         """
         problem = self._problem
         unknowns = self._unknowns
-        moves = step[: unknowns.first_calibration].reshape(state.poses.shape)
-        lines = step[unknowns.first_line :].reshape(-1, 2)
+        moves = step[unknowns.nodes.columns("poses")].reshape(state.poses.shape)
+        lines = step[unknowns.nodes.columns("lines")]
         calibration = np.zeros_like(state.calibration)
         pairs = np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1)
         motions = np.einsum("ntij,ntj->nti", self._by_poses(state), pairs)
         if unknowns.calibrated:
-            calibration = step[unknowns.first_calibration : unknowns.first_line].reshape(
-                calibration.shape
-            )
+            calibration = step[unknowns.nodes.columns("calibrations")]
             motions += self._by_axle(state) * calibration[:, 2, None, None]
         largest = float(np.abs(moves).max())
         before = chi_square(problem, state, readings, weights)
@@ -288,58 +274,46 @@ class _Graph:
             share *= 0.5
         return new, share * largest
 
-    def _add_motions(self, state: State) -> None:
-        """Add the motions, and the prior of the calibrations, if these are estimated."""
+    def _wheels(self, state: State) -> Factors:
+        """The motions by the wheels."""
         problem = self._problem
         unknowns = self._unknowns
         errors = motion_errors(problem, state)
         jacobian = self._by_poses(state)
-        poses = pose_columns(np.arange(unknowns.robots * unknowns.steps)).reshape(state.poses.shape)
-        columns: IntArray = np.concatenate((poses[:, :-1], poses[:, 1:]), axis=-1)
-        if problem.prior is not None:
+        poses = np.arange(unknowns.robots * unknowns.steps).reshape(unknowns.robots, -1)
+        keys: Keys = (("poses", poses[:, :-1].ravel()), ("poses", poses[:, 1:].ravel()))
+        if unknowns.calibrated:
             by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
             by_calibration[..., :3] = -problem.by_sizes
             by_calibration[..., 2] += self._by_axle(state)
             if problem.turns is None:
                 by_calibration[..., [0, 1], [0, 1]] -= errors[..., :2]
             jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
-            shared = np.arange(unknowns.first_calibration, unknowns.first_line)
-            own: IntArray = shared.reshape(unknowns.robots, unknowns.calibrated)
-            columns = np.concatenate(
-                (columns, np.repeat(own[:, None], problem.steps - 1, axis=1)), axis=-1
-            )
-            count = len(own)
-            identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
-            off = state.calibration - problem.prior_calibration
-            self.equations.add(own, identity, off, np.tile(problem.information, (count, 1, 1)))
-        jacobian = jacobian / problem.sizes(state.calibration)[..., None]
-        white = problem.whitened(jacobian)
-        width = jacobian.shape[-1]
-        self.equations.add(
-            columns.reshape(-1, width),
-            white.reshape(-1, 3, width),
+            robots = np.repeat(np.arange(unknowns.robots), problem.steps - 1)
+            keys = (*keys, ("calibrations", robots))
+        white = problem.whitened(jacobian / problem.sizes(state.calibration)[..., None])
+        return Factors(
+            keys,
             problem.whitened(errors).reshape(-1, 3),
+            white.reshape(-1, 3, white.shape[-1]),
         )
 
-    def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
-        """Add the readings of lines."""
+    def _ranges(self, state: State, readings: Expected, weights: FloatArray) -> Factors:
+        """The readings of lines."""
         problem = self._problem
-        unknowns = self._unknowns
         used = np.flatnonzero(self._labels >= 0)
         places = problem.readings.places[used]
         roots = np.sqrt(weights[used])
-        lines = unknowns.first_line + 2 * self._labels[used, None] + np.arange(2)
-        columns = [pose_columns(places), lines]
+        keys: Keys = (("poses", places), ("lines", self._labels[used]))
         jacobian = [readings.by_pose[used], readings.by_line[used]]
-        if unknowns.calibrated:
-            robots = places[:, None] // problem.steps
-            columns.append(unknowns.first_calibration + unknowns.calibrated * robots + (3, 4))
-            lengths = problem.true(readings.ranges[used], places, state.calibration)
-            jacobian.append(np.column_stack((np.ones(len(used)), lengths)))
+        if self._unknowns.calibrated:
+            keys = (*keys, ("calibrations", places // problem.steps))
+            by_calibration = np.zeros((len(used), self._unknowns.calibrated))
+            by_calibration[:, 3] = 1.0
+            by_calibration[:, 4] = problem.true(readings.ranges[used], places, state.calibration)
+            jacobian.append(by_calibration)
         errors = -range_residuals(problem, readings)[used] * roots
-        self.equations.add(
-            np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None]
-        )
+        return Factors(keys, errors[:, None], (np.hstack(jacobian) * roots[:, None])[:, None])
 
     def _by_poses(self, state: State) -> FloatArray:
         """Derivatives (n, t - 1, 3, 6) of the motions by the pose before and the pose after

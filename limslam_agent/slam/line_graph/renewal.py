@@ -21,7 +21,6 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
-from limslam_agent.slam.least_squares.normal_equations import pose_columns
 from limslam_agent.slam.line_graph.reassociation import Association
 from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, tally
 from limslam_agent.slam.line_graph.smoother import FilteredRun, filter_labels, settle
@@ -90,10 +89,8 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     lines = state.lines[kept]
     anchors = state.anchors[kept]
     last = state.poses[0, -1]
-    columns = np.append(
-        pose_columns(solution.unknowns.ends[-1:]),
-        solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2),
-    )
+    nodes = solution.unknowns.nodes
+    columns = np.append(nodes.columns("poses")[-1], nodes.columns("lines")[kept])
     rows = np.searchsorted(solution.unknowns.kept, columns)
     x, y, _ = start.pose.tolist()
     by_start = np.vstack(

@@ -17,7 +17,7 @@ from limslam_agent.slam.core.encoder_ticks import ticks_of
 from limslam_agent.slam.core.late_ranges import ahead, behind, headings_held_back, held_back
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.least_squares.normal_equations import DegenerateError
+from limslam_agent.slam.graph.graph import DegenerateError
 from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve, where_read
 from limslam_agent.slam.line_graph.problem import (

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.grid.planner import routes, wall_distance
+from limslam_agent.grid.planner import Clearance, routes, wall_distance
 from limslam_agent.grid.unfinished import (
     Faces,
     border_faces,
@@ -205,7 +205,7 @@ def random_grid(seed: int, walls: float) -> tuple[GridView, tuple[int, int]]:
 @given(st.integers(0, 100_000))
 def test_costs_equal_a_plain_dijkstras(radius: float, walls: float, seed: int) -> None:
     grid, start = random_grid(seed, walls)
-    ways = routes(grid, place(*start), radius, NO_COMFORT)
+    ways = routes(grid, place(*start), Clearance(radius, NO_COMFORT))
     np.testing.assert_allclose(ways.cost, plain_dijkstra(grid, start, radius), rtol=1e-9)
 
 
@@ -214,7 +214,7 @@ def test_costs_equal_a_plain_dijkstras(radius: float, walls: float, seed: int) -
 def test_paths_lead_cell_by_cell_over_free_ground_and_cut_no_corners(seed: int) -> None:
     radius = 0.12
     grid, start = random_grid(seed, 0.06)
-    ways = routes(grid, place(*start), radius, 0.15)
+    ways = routes(grid, place(*start), Clearance(radius, 0.15))
     for cell in np.argwhere(np.isfinite(ways.cost)).tolist():
         path = ways.path_to((cell[0], cell[1]))
         assert path[0].tolist() == list(start)
@@ -234,7 +234,7 @@ def test_paths_lead_cell_by_cell_over_free_ground_and_cut_no_corners(seed: int) 
 
 @pytest.mark.parametrize(("row", "column"), [(-1, 2), (2, 5)])
 def test_from_outside_of_the_grid_nothing_can_be_reached(row: int, column: int) -> None:
-    ways = routes(grid_of(*["....."] * 5), place(row, column), 0.1, 0.1)
+    ways = routes(grid_of(*["....."] * 5), place(row, column), Clearance(0.1, 0.1))
     assert ways.cost.shape == (5, 5)
     assert np.isinf(ways.cost).all()
     assert (ways.predecessors < 0).all()
@@ -243,12 +243,12 @@ def test_from_outside_of_the_grid_nothing_can_be_reached(row: int, column: int) 
 def test_comfort_keeps_the_way_off_the_walls_where_there_is_room() -> None:
     # A corridor 9 cells wide: hugging its wall is as short, but dearer.
     grid = grid_of("#" * 30, *["." * 30] * 9, "#" * 30)
-    near = routes(grid, place(2, 1), 0.12, NO_COMFORT).path_to((2, 28))
-    far = routes(grid, place(2, 1), 0.12, 0.3).path_to((2, 28))
+    near = routes(grid, place(2, 1), Clearance(0.12, NO_COMFORT)).path_to((2, 28))
+    far = routes(grid, place(2, 1), Clearance(0.12, 0.3)).path_to((2, 28))
     assert set(near[:, 0].tolist()) == {2}
     assert far[len(far) // 2, 0] >= 4
     # A cell within the comfort costs up to three times its length, and never more.
-    cost = routes(grid, place(2, 1), 0.12, 0.3).cost[2, 2]
+    cost = routes(grid, place(2, 1), Clearance(0.12, 0.3)).cost[2, 2]
     assert 0.1 < cost <= 0.3
 
 
@@ -256,9 +256,9 @@ def test_comfort_keeps_the_way_off_the_walls_where_there_is_room() -> None:
 @given(st.integers(0, 100_000))
 def test_a_search_for_targets_finds_the_cheapest_at_its_cost(seed: int) -> None:
     grid, start = random_grid(seed, 0.15)
-    everywhere = routes(grid, place(*start), 0.07, 0.1)
+    everywhere = routes(grid, place(*start), Clearance(0.07, 0.1))
     targets = np.random.default_rng(seed).random(grid.values.shape) < 0.1
-    found = routes(grid, place(*start), 0.07, 0.1, targets=targets)
+    found = routes(grid, place(*start), Clearance(0.07, 0.1), targets=targets)
     assert (
         np.where(targets, found.cost, np.inf).min()
         == np.where(targets, everywhere.cost, np.inf).min()
@@ -275,31 +275,35 @@ def test_a_near_target_is_found_without_going_everywhere() -> None:
     grid = grid_of(*["." * 60] * 60)
     targets = np.zeros(grid.values.shape, dtype=bool)
     targets[30, 34] = targets[0, 59] = True
-    cost = routes(grid, place(30, 30), 0.1, 0.1, targets=targets).cost
+    cost = routes(grid, place(30, 30), Clearance(0.1, 0.1), targets=targets).cost
     assert cost[30, 34] == pytest.approx(0.4)
     assert np.isfinite(cost).sum() < 400
 
 
 def test_steps_far_from_walls_cost_three_times_as_much() -> None:
     grid = grid_of("#" * 100, *["." * 100] * 99)
-    cost = routes(grid, place(60, 50), 0.1, 0.1, coast=2.5).cost
+    cost = routes(grid, place(60, 50), Clearance(0.1, 0.1, 2.5)).cost
     assert cost[60, 60] == pytest.approx(3.0 * 10 * CELL)
-    assert routes(grid, place(60, 50), 0.1, 0.1).cost[60, 60] == pytest.approx(10 * CELL)
-    assert routes(grid, place(10, 50), 0.1, 0.1, coast=2.5).cost[10, 60] == pytest.approx(10 * CELL)
+    assert routes(grid, place(60, 50), Clearance(0.1, 0.1)).cost[60, 60] == pytest.approx(10 * CELL)
+    assert routes(grid, place(10, 50), Clearance(0.1, 0.1, 2.5)).cost[10, 60] == pytest.approx(
+        10 * CELL
+    )
 
 
 def test_closed_cells_are_driven_round_though_they_are_free() -> None:
     grid = grid_of(*["." * 9] * 5)
     closed = np.zeros(grid.values.shape, dtype=bool)
     closed[:4, 4] = True
-    ways = routes(grid, place(0, 0), 0.1, 0.1, closed=closed)
+    ways = routes(grid, place(0, 0), Clearance(0.1, 0.1), closed=closed)
     assert ways.path_to((0, 8))[:, 0].max() == 4
     assert np.isinf(ways.cost[:4, 4]).all()
     closed[:, 4] = True
-    assert np.isinf(routes(grid, place(0, 0), 0.1, 0.1, closed=closed).cost[:, 5:]).all()
+    assert np.isinf(routes(grid, place(0, 0), Clearance(0.1, 0.1), closed=closed).cost[:, 5:]).all()
     # Its own cell never is.
     assert (
-        np.isfinite(routes(grid, place(0, 4), 0.1, 0.1, closed=closed).cost).all(axis=0)[5:].all()
+        np.isfinite(routes(grid, place(0, 4), Clearance(0.1, 0.1), closed=closed).cost)
+        .all(axis=0)[5:]
+        .all()
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from limslam_agent.logs.pose_log import beam, pose_log
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.replay.plausibility import log_warnings
+from limslam_agent.replay.checks import log_warnings
 from limslam_env import RobotSpec
 from limslam_env.geometry import se2
 

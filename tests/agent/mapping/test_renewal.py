@@ -11,6 +11,7 @@ from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
+from limslam_agent.record import Drive, Scan
 from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
 
@@ -46,14 +47,17 @@ def driven(settings, told):
     it was renewed.
     """
     slam = LineSlam(ROBOT, settings, START)
-    renewal = Renewal(slam, settings, OccupancyGrid(settings.grid))
+    drive = Drive()
+    renewal = Renewal(slam, settings, OccupancyGrid(settings.grid), drive)
     poses = []
     covariances = []
     renewed = []
     for step, observation in enumerate(told):
         slam.step(observation)
+        ranges = slam.robots[0].reported
+        drive.scans.append(Scan(slam.pose, ranges, slam.increments[0], observation))
         if renewal.is_possible:
-            renewal.note(observation)
+            renewal.note()
             if renewal.renew_if_due():
                 renewed.append(step)
         poses.append(slam.pose)
@@ -122,7 +126,7 @@ def test_a_robot_that_stands_still_is_not_renewed():
 
 def test_a_team_is_never_renewed():
     slam = LineSlam(ROBOT, config(10.0), np.array([START, START + 1.0]))
-    assert not Renewal(slam, slam.config, OccupancyGrid(slam.config.grid)).is_possible
+    assert not Renewal(slam, slam.config, OccupancyGrid(slam.config.grid), Drive()).is_possible
     with pytest.raises(TypeError, match="single robot"):
         _ = slam.map_state
 
@@ -142,7 +146,7 @@ def misled(told, at, off):
 def test_a_robot_that_a_wrong_estimate_has_made_lost_is_renewed(monkeypatch):
     """The filter is put at a wrong pose, as by a wrong association, and cannot take that back."""
     told, true = rounds(3)
-    monkeypatch.setattr("limslam_agent.places.recovery.Recovery.seek_near", lambda *_: None)
+    monkeypatch.setattr("limslam_agent.mapping.recovery.Recovery._seek_near", lambda *_: None)
     mapper, events = misled(told, 330, (0.35, 0.3, 0.4))
     assert events[:2] == ["lost", "renewed"]
     assert mapper.frame > 0

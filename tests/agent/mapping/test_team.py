@@ -72,7 +72,7 @@ def test_the_policies_of_a_team_keep_what_they_know_when_their_map_is_moved():
     seen = {"ranges": ROBOT.max_ranges, "wheels": np.zeros(2)}
     team.act(dict.fromkeys(team.names, seen))
     before = list(team.policies)
-    team.mapper.frame += 1
+    team.mapper._frames.frame += 1
     team.act(dict.fromkeys(team.names, seen))
     assert all(map(operator.is_, team.policies, before))
 

@@ -10,18 +10,21 @@ import pytest
 from support.drives import ROBOT, along, drive, room
 from support.smoother_runs import state_from_motions
 
-from limslam_agent import LineSlam, Mapper, preset, with_until
-from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent import Mapper, preset, with_until
 from limslam_agent.output.summary import record_summary
-from limslam_agent.places.recovery import Recovery
-from limslam_agent.places.revisions import BEGUN_ANEW, GIVEN_UP, NOT_CONFIRMED, PlaceHistory
+from limslam_agent.places.revisions import (
+    BEGUN_ANEW,
+    GIVEN_UP,
+    NOT_CONFIRMED,
+    Event,
+    PlaceHistory,
+    Revision,
+)
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import final_status, score, write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks
-from limslam_agent.status.monitor import CARRIED, Loss
-from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
@@ -68,8 +71,8 @@ def test_the_smoothed_path_goes_on_where_it_was_found(episode):
     # The place is not confirmed before the whole map or a long way agrees with it.
     assert final_status(episode)["status"] == "unsure"
     assert final_status(episode)["status_reason"] == NOT_CONFIRMED
-    assert PlaceHistory(records=[*episode.places.records, {"event": "confirmed"}]).doubt == Status()
-    assert PlaceHistory(records=[{"event": "begun anew"}]).doubt == Status("unsure", BEGUN_ANEW)
+    assert PlaceHistory([*episode.places.events, Event({"event": "confirmed"})]).doubt == Status()
+    assert PlaceHistory([Event({"event": "begun anew"})]).doubt == Status("unsure", BEGUN_ANEW)
 
 
 def test_the_step_at_which_it_was_carried_away_is_known_afterwards(episode):
@@ -248,7 +251,7 @@ def standing(mapper, ranges, steps):
 
 def test_a_robot_that_is_lost_for_long_keeps_its_latest_map(episode, monkeypatch):
     monkeypatch.setattr("limslam_agent.mapping.mapper.RESTART_WITHIN", 0)
-    monkeypatch.setattr("limslam_agent.places.recovery.LONGEST_ABSENCE", 1000)
+    monkeypatch.setattr("limslam_agent.mapping.recovery.LONGEST_ABSENCE", 1000)
     mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
     for number in range(400):
         wheels = episode.wheels[number, 0] + (2.0 if number == 390 else 0.0)
@@ -269,7 +272,7 @@ def test_a_robot_that_is_lost_for_long_keeps_its_latest_map(episode, monkeypatch
 
 
 def test_a_robot_whose_place_is_not_confirmed_for_long_stays_there(episode, monkeypatch):
-    monkeypatch.setattr("limslam_agent.places.recovery.LONGEST_ABSENCE", 1000)
+    monkeypatch.setattr("limslam_agent.mapping.recovery.LONGEST_ABSENCE", 1000)
     mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
     for number in range(len(episode.ranges)):
         mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
@@ -289,17 +292,20 @@ def test_a_robot_whose_place_is_not_confirmed_for_long_stays_there(episode, monk
     assert mapper.statuses[0].level != "lost"
 
 
-def test_a_robot_that_is_carried_while_it_is_lost_may_have_been_carried_before_that():
-    config = preset("graph", NominalNoise(NOISE))
-    slam = LineSlam(ROBOT, config)
-    grid = OccupancyGrid(config.grid)
-    recovery = Recovery(ROBOT, config)
-    for _ in range(5):
-        recovery.note(Sight(np.zeros(3), ROBOT.max_ranges), slam, grid)
-    recovery.lose(Loss(CARRIED, 1), 0.0, slam, grid)
-    assert not recovery.absence.was_moved
-    recovery.lose(Loss(CARRIED, 0, is_carried=True), 0.0, slam, grid)
-    assert recovery.absence.was_moved
-    assert not recovery.absence.loss.is_dated, (
-        "the readings did not say in which step it was lost at first"
-    )
+def test_a_place_that_was_wrong_takes_back_what_followed_from_it():
+    def found(number, **changed):
+        revision = Revision(number, np.zeros((1, 3)), np.zeros((1, 3, 3)))
+        return Event({"event": "found"}, revision, **changed)
+
+    carried = found(3, carried_at=3)
+    slipped = found(5, slipped=(3, 5))
+    lost = Event({"event": "lost"})
+    wrong = Event({"event": "lost"}, refutes=True)
+    for events, breaks, slips in (
+        ([lost, carried, lost, slipped], [3], [(3, 5)]),
+        ([lost, carried, lost, slipped, wrong], [3], []),
+        ([lost, carried, wrong, slipped], [], [(3, 5)]),
+    ):
+        history = PlaceHistory(events)
+        assert (history.breaks, history.slips) == (breaks, slips)
+        assert [each.begin for each in history.revisions] == [*breaks, *(end for _, end in slips)]

@@ -14,8 +14,8 @@ from support.drives import ROBOT, along, drive, room
 from limslam_agent import preset, read_log, replay_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.replay.checks import log_warnings, map_warnings
 from limslam_agent.replay.misreading import misread
-from limslam_agent.replay.plausibility import log_warnings, map_warnings
 
 
 def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60, beams=(-90, 90)):

@@ -24,7 +24,7 @@ from limslam_agent.replay.replay import write_replay
 from limslam_agent.replay.smoothing import draw_walls, trusted_path
 from limslam_agent.replay.trust import PathSignals, longest_loose
 from limslam_agent.runs.inspection import inspect_log
-from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_agent.slam.map_graph.point_links import PointCloud
 from limslam_env import NominalNoise, RobotSpec, SensorSpec
 from limslam_env.geometry import se2, segment
 from limslam_env.metrics import trajectory_metrics
@@ -298,7 +298,7 @@ def test_the_longest_stretch_without_a_loop_is_found():
         (
             replace(SURE, covariance=within(0.4), loose=(3.0, 61.0)),
             (
-                "the chance that the path is more than 0.5 m off is 15% (standard deviation "
+                "the chance that the path is more than 0.5 m off is 15 % (standard deviation "
                 "0.40 m), as no recognised place holds it from 3 to 61 s"
             ),
         ),

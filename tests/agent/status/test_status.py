@@ -16,6 +16,7 @@ from benchmarks.suite.jobs import KIDNAPPED
 from limslam_agent import LimSlamAgent, preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
+from limslam_agent.record import Drive, Scan
 from limslam_agent.runs.episode import another_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.chance import chance_off
@@ -30,7 +31,6 @@ from limslam_agent.status.status import (
     status_scores,
     worst,
 )
-from limslam_agent.status.sudden_changes import Sight
 from limslam_env import LimSlamEnv, NominalNoise
 from limslam_env.geometry import se2
 
@@ -192,20 +192,29 @@ WIDE = GridView(np.array([-4.0, -4.0]), 0.1, np.full((100, 100), 4, dtype=np.int
 KNOWN = KnownMap(WALLS, FREE, SENSOR)
 
 
-def blind(distance, turn=0.0):
-    """A step without new readings."""
-    return Sight(np.array([1.0, 1.0, 0.0]), np.full(6, np.nan), np.array([distance, 0.0, turn]))
+class Watched(StatusMonitor):
+    """A monitor of a drive that goes on with each call."""
 
+    def __init__(self):
+        self.drive = Drive()
+        super().__init__(ROBOT, SENSOR, self.drive)
 
-def monitor():
-    return StatusMonitor(ROBOT, SENSOR)
+    def goes_on(self, pose, ranges, distance=0.11, turn=0.0, **more):
+        """The robot has moved by a distance, m, and a turn, rad; whether a check is due."""
+        scan = Scan(pose, ranges, np.array([distance, 0.0, turn]), **more)
+        self.drive.scans.append(scan)
+        return self.observe(is_busy=True)
+
+    def goes_on_blindly(self):
+        """A step without new readings."""
+        return self.goes_on(np.array([1.0, 1.0, 0.0]), np.full(6, np.nan), 0.01)
 
 
 def broken_after(readings):
     """The broken beam of a robot that turns by 0.1 rad before each row of readings (n, 6), m."""
-    watched = monitor()
+    watched = Watched()
     for row in readings:
-        if watched.observe(Sight(place(0), row, np.array([0.0, 0.0, 0.1])), is_busy=True):
+        if watched.goes_on(place(0), row, 0.0, 0.1):
             watched.check(SURE, KNOWN)
         if watched.broken is not None:
             return watched.broken
@@ -231,19 +240,18 @@ def place(number):
     return np.array([1.0 + 0.2 * math.cos(angle), 1.0 + 0.2 * math.sin(angle), angle])
 
 
-def watched_levels(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, begin=0, length=0.11):
+def watched_levels(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, begin=0):
     """Check at each step what a robot sees whose surroundings are ``walls``; the levels."""
     levels = []
     for number in range(begin, begin + steps):
-        sight = Sight(place(number), ranges_at(place(number), walls), np.array([length, 0.0, 0.0]))
-        assert watched.observe(sight, is_busy=True)
+        assert watched.goes_on(place(number), ranges_at(place(number), walls))
         watched.check(covariance, known)
         levels.append(watched.status.level)
     return levels
 
 
 def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
-    watched = monitor()
+    watched = Watched()
     watched_levels(watched, 40)
     levels = watched_levels(watched, 10, walls=np.zeros((0, 4)), begin=40)
     assert levels.index("lost") <= 4
@@ -252,15 +260,15 @@ def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
     assert watched.status == CARRIED
     assert watched.loss.is_dated
     assert watched.loss.is_carried
-    assert watched.loss.ago == 9, "the walls are gone since the first of the ten steps"
+    assert watched.loss.step == 40, "the walls are gone since the first of the ten steps"
 
 
 def test_a_robot_that_was_carried_away_is_lost_although_its_map_is_redrawn_around_it():
-    watched = monitor()
+    watched = Watched()
     watched_levels(watched, 40)
     wrong = room(-3.0, -3.0, 3.0, 3.0)
     # After a step without readings, nothing has changed at once.
-    watched.observe(blind(0.01), is_busy=True)
+    watched.goes_on_blindly()
     levels = watched_levels(
         watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=40
     )
@@ -269,7 +277,7 @@ def test_a_robot_that_was_carried_away_is_lost_although_its_map_is_redrawn_aroun
 
 
 def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
-    watched = monitor()
+    watched = Watched()
     watched_levels(watched, 40)
     began = watched_levels(watched, 10, walls=np.zeros((0, 4)), begin=40).index("lost")
     assert watched.added_covariance.any()
@@ -282,14 +290,12 @@ def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
 
 def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
     """The map was 0.4 m off, and a change before the loop was closed is not weighed yet."""
-    watched = monitor()
+    watched = Watched()
     off = np.array([0.4, 0.4, 0.0])
     before = KnownMap(room(0.4, 0.4, 2.4, 2.4), FREE, SENSOR)
     for number in range(44):
         ranges = ranges_at(place(number), WALLS) - 0.1 * (number == 41)
-        watched.observe(
-            Sight(place(number) + off, ranges, np.array([0.11, 0.0, 0.0])), is_busy=True
-        )
+        watched.goes_on(place(number) + off, ranges)
         if number < 40:
             watched.check(SURE, before)
     assert watched.status == Status()
@@ -298,23 +304,20 @@ def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
 
 
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
-    watched = monitor()
+    watched = Watched()
     watched_levels(watched, 40)
-    assert watched.observe(
-        Sight(place(40), ranges_at(place(40), WALLS), np.array([5.0, 0.0, 0.0])), is_busy=False
-    )
+    assert watched.goes_on(place(40), ranges_at(place(40), WALLS), 5.0)
     watched.check(SURE, KNOWN)
     assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
     assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
-    assert not watched.observe(blind(0.01), is_busy=True)
+    assert not watched.goes_on_blindly()
 
 
 def test_a_motion_of_which_the_odometry_knows_nothing_is_a_jump():
-    watched = monitor()
+    watched = Watched()
     watched_levels(watched, 40)
-    seen = Sight(place(40), ranges_at(place(40), WALLS), np.zeros(3))
     unknown = {"wheels": np.zeros(2), "wheel_variances": np.full(2, 0.1**2)}
-    assert watched.observe(seen._replace(observation=unknown), is_busy=False)
+    assert watched.goes_on(place(40), ranges_at(place(40), WALLS), 0.0, observation=unknown)
     watched.check(SURE, KNOWN)
     reason = "how the robot moved in a gap of its odometry is not known"
     assert watched.status == Status("lost", reason)
@@ -323,12 +326,12 @@ def test_a_motion_of_which_the_odometry_knows_nothing_is_a_jump():
 
 def test_a_beam_alone_is_no_proof():
     """Its readings change again and again, and contradict the map."""
-    watched = monitor()
+    watched = Watched()
     free = GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16))
     for number in range(100):
         ranges = ROBOT.max_ranges.copy()
         ranges[2] = 0.3 + 0.1 * (number % 9)
-        if watched.observe(Sight(place(number), ranges, np.array([0.05, 0.0, 0.0])), is_busy=True):
+        if watched.goes_on(place(number), ranges, 0.05):
             watched.check(SURE, KnownMap(np.zeros((0, 4)), free, SENSOR))
         assert watched.status.level != "lost"
     assert watched.status.level == "unsure"
@@ -336,13 +339,13 @@ def test_a_beam_alone_is_no_proof():
 
 @pytest.mark.parametrize("counts", [True, False])
 def test_bodies_around_the_robot_make_it_lost_only_if_free_space_counts(counts):
-    watched = monitor()
+    watched = Watched()
     levels = []
     known = KnownMap(WALLS, FREE, SENSOR, free_space_counts=counts)
     watched_levels(watched, 40, known=known)
     for number in range(40, 80):
         ranges = np.where(np.arange(6) < 5, 0.25, ranges_at(place(number), WALLS))
-        if watched.observe(Sight(place(number), ranges, np.array([0.11, 0.0, 0.0])), is_busy=True):
+        if watched.goes_on(place(number), ranges):
             watched.check(SURE, known)
         levels.append(watched.status.level)
     assert ("lost" in levels) == counts
@@ -353,7 +356,7 @@ def test_bodies_around_the_robot_make_it_lost_only_if_free_space_counts(counts):
     [(0.15, 4.5, "ok"), (0.25, 1.0, "unsure"), (0.01, 5.5, "unsure")],
 )
 def test_a_pose_that_may_be_off_by_its_covariance_is_unsure(std, heading_std, level):
-    watched = monitor()
+    watched = Watched()
     covariance = np.diag([std, std, math.radians(heading_std)]) ** 2
     watched_levels(watched, 10, covariance=covariance)
     assert (watched.status.level, watched.status.chance) == (level, chance_off(covariance))

@@ -146,7 +146,7 @@ def test_noise_has_the_same_distributions():
     start = load_world("env1").starts[:1]
     for _ in range(count):
         simulation._physics.place(start, single.robot.axle)
-        simulation._unreported[:] = 0.0
+        simulation._scene.unreported[:] = 0.0
         observation, _, _, _, info = single.step(ahead)
         rows.append(np.concatenate((observation["ranges"], observation["wheels"], info["pose"])))
     table = np.array(rows)

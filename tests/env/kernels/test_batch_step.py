@@ -11,9 +11,16 @@ from limslam_env.batch.batch import noise_settings
 from limslam_env.batch.worlds import from_tiles, to_tiles
 from limslam_env.compilation import compiled
 from limslam_env.kernels.batch_rays import cast_fan, find_unseen
-from limslam_env.kernels.coverage import mark_disc, mark_ray, walk_disc, walk_ray
+from limslam_env.kernels.coverage import (
+    CellGrid,
+    TileGrid,
+    mark_disc,
+    mark_ray,
+    walk_disc,
+    walk_ray,
+)
 from limslam_env.kernels.random_numbers import derive_keys, draw_rows, mixed, normal
-from limslam_env.kernels.rays import meeting
+from limslam_env.kernels.rays import Ray, meeting
 from limslam_env.simulation.sensors import build_wall_index, walls_around
 from limslam_env.simulation.sensors import cast as cast_rays
 
@@ -29,16 +36,14 @@ def normals(key: np.uint64, numbers: np.ndarray) -> None:
 
 @compiled
 def marked(seen, x, y, dx, dy, reach, radius):
-    new = mark_ray(seen, np.ones_like(seen), AREA, x, y, dx, dy, reach)
-    return new + mark_disc(seen, np.ones_like(seen), AREA, x, y, radius)
+    grid = CellGrid(seen, np.ones_like(seen), AREA)
+    return mark_ray(grid, Ray(x, y, dx, dy, reach)) + mark_disc(grid, x, y, radius)
 
 
 @compiled
 def taken(left, tile_columns, tile_rows, x, y, dx, dy, reach, radius):
-    x = (x - AREA[0]) / CELL
-    y = (y - AREA[1]) / CELL
-    new = walk_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
-    return new + walk_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
+    grid = TileGrid(left, 0, tile_columns, tile_rows, AREA[0], AREA[1], CELL)
+    return walk_ray(grid, Ray(x, y, dx, dy, reach)) + walk_disc(grid, x, y, radius)
 
 
 @compiled
@@ -69,7 +74,8 @@ def met(aims, edges, rays):
 
 @compiled
 def found(left, tile_columns, tile_rows, aims, rays):
-    return find_unseen(0, left, tile_columns, tile_rows, AREA[0], AREA[1], CELL, aims, rays)
+    grid = TileGrid(left, 0, tile_columns, tile_rows, AREA[0], AREA[1], CELL)
+    return find_unseen(grid, aims, rays)
 
 
 def padded(tiles: np.ndarray) -> np.ndarray:

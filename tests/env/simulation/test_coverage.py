@@ -10,8 +10,8 @@ from support.data import SHIPPED_WORLDS
 from limslam_env import NoiseConfig, RobotSpec, World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import beams_on_rim
-from limslam_env.kernels.coverage import mark_disc
-from limslam_env.kernels.observation import drive_and_observe
+from limslam_env.kernels.coverage import CellGrid, mark_disc
+from limslam_env.kernels.observation import drive_and_observe, new_scene
 from limslam_env.simulation.coverage import CELL, coverage_grid
 from limslam_env.simulation.sensors import beam_table, build_wall_index, noise_table
 from limslam_env.simulation.simulation import Simulation
@@ -29,37 +29,17 @@ def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     world.
     """
     grid = coverage_grid(world, ROBOT, world.starts[:1])
-    beams = len(ROBOT.beams)
     noise = noise_table(vars(NoiseConfig()), ROBOT)
     walls = build_wall_index(world.edges)
     table = beam_table(ROBOT)
-    seen = np.zeros_like(grid.coverable)
+    cells = CellGrid(np.zeros_like(grid.coverable), grid.coverable, grid.area)
     new = 0
-    found = np.zeros(1, dtype=np.int64)
     is_moved = True
     for pose in poses[:, None]:
-        drive_and_observe(
-            is_moved,
-            0,
-            np.zeros((1, beams + 2, 2)),
-            pose,
-            np.zeros(3),
-            np.zeros((1, 2)),
-            np.zeros((1, 2)),
-            ROBOT.radius,
-            table,
-            noise,
-            walls,
-            seen,
-            grid.coverable,
-            grid.area,
-            np.zeros((1, 2)),
-            np.zeros((1, beams), dtype=np.int64),
-            np.zeros((1, beams), dtype=np.float32),
-            np.zeros((1, 2), dtype=np.float32),
-            found,
-        )
-        new += found[0]
+        scene = new_scene(pose, np.zeros(3), ROBOT.radius, table, noise, walls, cells)
+        drive_and_observe(is_moved, 0, np.zeros((1, len(ROBOT.beams) + 2, 2)), *scene)
+        new += scene.new_cells[0]
+    seen = cells.seen
     assert new == np.count_nonzero(seen & grid.coverable), "what counts as new is counted once"
     return seen
 
@@ -107,7 +87,8 @@ def test_a_body_marks_the_cells_that_it_touches():
         y = generator.uniform(-0.5, 4.5)
         radius = generator.uniform(0.03, 0.6)
         seen = np.zeros((40, 40), dtype=bool)
-        mark_disc(seen, seen.copy(), np.array([0.0, 0.0, CELL]), x, y, radius)
+        grid = CellGrid(seen, seen.copy(), np.array([0.0, 0.0, CELL]))
+        mark_disc(grid, x, y, radius)
         gap = np.hypot(
             x - np.clip(x, columns * CELL, (columns + 1) * CELL),
             y - np.clip(y, rows * CELL, (rows + 1) * CELL),

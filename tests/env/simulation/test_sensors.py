@@ -9,7 +9,8 @@ from support.data import SHIPPED_WORLDS
 from limslam_env import NoiseConfig, RobotSpec, SensorSpec, World, load_world
 from limslam_env.geometry import FloatArray, segment
 from limslam_env.interface import beams_on_rim
-from limslam_env.kernels.observation import drive_and_observe
+from limslam_env.kernels.coverage import CellGrid
+from limslam_env.kernels.observation import drive_and_observe, new_scene
 from limslam_env.kernels.rays import NOTHING
 from limslam_env.kernels.readings import noisy_reading
 from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, cast, noise_table
@@ -83,32 +84,14 @@ def look(
     """
     noise = noise_table(vars(NoiseConfig(cone=cone)), robot)
     is_moved = True
-    count = len(robot.beams)
     cells = np.zeros((1, 1), dtype=bool)
-    hits = np.zeros((1, count), dtype=np.int64)
-    ranges = np.zeros((1, count), dtype=np.float32)
-    drive_and_observe(
-        is_moved,
-        0,
-        np.zeros((1, count + 2, 2)),
-        np.array([pose]),
-        np.zeros(3),
-        np.zeros((1, 2)),
-        np.zeros((1, 2)),
-        robot.radius,
-        beam_table(robot),
-        noise,
-        build_wall_index(edges),
-        cells.copy(),
-        cells,
-        np.array([0.0, 0.0, 0.1]),
-        np.zeros((1, 2)),
-        hits,
-        ranges,
-        np.zeros((1, 2), dtype=np.float32),
-        np.zeros(1, dtype=np.int64),
+    grid = CellGrid(cells.copy(), cells, np.array([0.0, 0.0, 0.1]))
+    walls = build_wall_index(edges)
+    scene = new_scene(
+        np.array([pose]), np.zeros(3), robot.radius, beam_table(robot), noise, walls, grid
     )
-    return hits[0], ranges[0]
+    drive_and_observe(is_moved, 0, np.zeros((1, len(robot.beams) + 2, 2)), *scene)
+    return scene.hits[0], scene.ranges[0]
 
 
 def sight(
@@ -252,7 +235,7 @@ def readings_of(
     drawn = zip(generator.standard_normal(count), generator.random(count), strict=True)
     return np.array(
         [
-            noisy_reading(ideal, hit, 0.05, 1.5, *table[:5], normal, uniform)
+            noisy_reading(ideal, hit, beam_table(FRONT), 0, table, normal, uniform)
             for normal, uniform in drawn
         ]
     )

@@ -23,7 +23,7 @@ from limslam_agent.config.consistent import (
 )
 from limslam_agent.config.presets import self_calibrating
 from limslam_agent.mapping import mapper as mapper_module
-from limslam_agent.output.summary import record_summary, turn_records
+from limslam_agent.output.summary import record_summary, sensor_record
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.range_noise import RangeNoise
@@ -254,7 +254,8 @@ def test_turned_beams_are_found_and_named() -> None:
     # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell
     # their directions.
     np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
-    result = {"record": {"beam_turns": turn_records(found)}, "config": {"robot": asdict(ROBOT)}}
+    record = sensor_record(None, found, 0.01, ROBOT)
+    result = {"record": record, "config": {"robot": asdict(ROBOT)}}
     line = record_summary(result)[-1]
     assert re.search(
         r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line

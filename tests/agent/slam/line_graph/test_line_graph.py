@@ -41,7 +41,7 @@ from limslam_agent.slam.line_graph.line_merging import (
     merge_lines,
     wall_kinds,
 )
-from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
+from limslam_agent.slam.line_graph.line_smoother import solve
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
@@ -145,7 +145,7 @@ def test_covariances_are_those_of_a_dense_solution():
     # The joint covariance of the last pose and the lines, from which a renewal goes on.
     unknowns = solution.unknowns
     columns = np.append(
-        pose_columns(unknowns.ends[-1:]), np.arange(unknowns.first_line, unknowns.size)
+        unknowns.nodes.columns("poses")[unknowns.ends[-1]], unknowns.nodes.columns("lines")
     )
     rows = np.searchsorted(unknowns.kept, columns)
     joint = solution.covariance[np.ix_(rows, rows)]

@@ -10,10 +10,7 @@ import numpy as np
 
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.kernels.lines import extract_lines
-from limslam_agent.slam.graph.key_poses import ERRORS
-from limslam_agent.slam.graph.least_squares import add_robust, cross
-from limslam_agent.slam.graph.point_links import MIN_COSINE, PointCloud
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
+from limslam_agent.slam.map_graph.point_links import MIN_COSINE, PointCloud
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
 
@@ -138,41 +135,3 @@ def _window(
     if count:
         label[rest] = np.where(is_on.any(axis=1), is_on.argmax(axis=1), -1)
     return label, every[:, 1]
-
-
-def add_lines(
-    equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float
-) -> None:
-    """Add the distances of points from their lines, with the Geman-McClure kernel, and a weak prior
-    of the lines.
-
-    ``std`` (m) is the standard deviation of a point about its line, and the scale of the kernel.
-    """
-    key = cloud.key[lines.points]
-    own = lines.lines
-    errors, jacobian = line_factor(
-        poses[key], cloud.places[lines.points], lines.angles[own], lines.centres[own]
-    )
-    first = 3 * len(poses) + ERRORS
-    columns = np.hstack((pose_columns(key), first + 2 * own[:, None] + np.arange(2)))
-    add_robust(equations, columns, jacobian, errors, std, 1.0)
-    unknowns = first + np.arange(2 * len(lines.angles)).reshape(-1, 2)
-    equations.add(
-        unknowns, np.tile(0.1 * np.eye(2), (len(unknowns), 1, 1)), np.zeros((len(unknowns), 2))
-    )
-
-
-def line_factor(
-    poses: FloatArray, places: FloatArray, angles: FloatArray, centres: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Distances (k,) of points, seen from poses (k, 3), from lines; and their derivatives (k, 5) by
-    pose and line.
-
-    Points and centres of lines (k, 2) are given in the world.
-    """
-    normals = np.column_stack((np.cos(angles), np.sin(angles)))
-    off = places - centres
-    by_pose = np.column_stack((normals, cross(places - poses[:, :2], normals)))
-    return np.sum(normals * off, axis=1), np.column_stack(
-        (by_pose, cross(normals, off), -np.ones(len(off)))
-    )

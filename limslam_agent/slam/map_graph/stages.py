@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import supported
-from limslam_agent.slam.graph.chunk_graph import (
+from limslam_agent.slam.graph.factors import Relations
+from limslam_agent.slam.map_graph.agreement import supported
+from limslam_agent.slam.map_graph.chunk_graph import (
     KEPT,
     KEPT_WEIGHT,
     NO_SUPPORT,
@@ -25,7 +26,7 @@ from limslam_agent.slam.graph.chunk_graph import (
     search_loops,
     solve_annealed,
 )
-from limslam_agent.slam.graph.key_poses import (
+from limslam_agent.slam.map_graph.key_poses import (
     ERRORS,
     KeyPoses,
     LogData,
@@ -36,11 +37,10 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.least_squares import Relations
-from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.graph.smoothing import (
+from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.map_graph.smoothing import (
     bundle,
-    cautious_equations,
+    cautious_graph,
     motion_covariances,
     smooth_locally,
 )
@@ -168,8 +168,8 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     report("search for loops")
     middles = chunk_middles(keys, config.maps, config.maps.hop)
     poses = trajectory.poses[middles]
-    equations = cautious_equations(keys, problem.local, config, data.range_std)
-    covariances = inflated(motion_covariances(equations, problem.local.poses, middles))
+    graph = cautious_graph(keys, problem.local, config, data.range_std)
+    covariances = inflated(motion_covariances(graph, problem.local.poses, middles))
     hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
     found = search_loops(
         cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops

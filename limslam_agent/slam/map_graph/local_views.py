@@ -5,9 +5,9 @@ just before.
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.key_poses import LogData, integrate, to_world
-from limslam_agent.slam.graph.local_maps import draw_grid, thinned
-from limslam_agent.slam.graph.matching import (
+from limslam_agent.slam.map_graph.key_poses import LogData, integrate, to_world
+from limslam_agent.slam.map_graph.local_maps import draw_grid, thinned
+from limslam_agent.slam.map_graph.matching import (
     LEAST_POINTS,
     NO_MATCH,
     SearchGrid,

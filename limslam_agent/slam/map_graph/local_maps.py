@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import LocalMapConfig
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
+from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.graph.key_poses import (
+from limslam_agent.slam.map_graph.key_poses import (
     ANOTHER_VISIT,
     KeyPoses,
     Trajectory,

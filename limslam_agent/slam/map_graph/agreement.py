@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, APART, KeyPoses, Trajectory
-from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.map_graph.chunk_graph import Loop
+from limslam_agent.slam.map_graph.key_poses import ANOTHER_VISIT, APART, KeyPoses, Trajectory
+from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 

@@ -1,5 +1,6 @@
-"""Warnings about a replayed log whose numbers are possible but unlikely, such as ranges in another
-unit.
+"""Checks of a log whose numbers are possible but unlikely, such as ranges in another unit.
+
+A check is a function that gives one line about a log, or an empty text if it finds nothing.
 """
 
 import math
@@ -47,13 +48,13 @@ def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list
 
     ``misreading`` is what `limslam_agent.replay.misreading.misread` has found.
     """
-    about_clock = _about_clock(log)
-    about_odometry = [] if about_clock else _about_odometry(log)
-    if misreading is not None and not (about_clock or about_odometry):
-        about_odometry = [misreading.words]
-    about_ranges = [*log.readings_notes, *_about_ranges(log), *_about_beams(log)]
-    about_breaks = [*_about_breaks(log), *_about_gaps(log)]
-    return [*log.notes, *about_clock, *about_breaks, *about_ranges, *about_odometry]
+    clock = _clock(log)
+    odometry = "" if clock else _poses(log) or _wheels(log)
+    if misreading is not None and not (clock or odometry):
+        odometry = misreading.words
+    breaks = [breaks_in_words(log.breaks) if log.breaks else "", _uncounted(log), _long_steps(log)]
+    ranges = [*log.readings_notes, _ranges(log), _beams(log)]
+    return [line for line in (*log.notes, clock, *breaks, *ranges, odometry) if line]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -63,190 +64,170 @@ def map_warnings(replay: Replay) -> list[str]:
     return [f"the map has 0 walls: {_why_no_walls(replay)}"]
 
 
-def _about_clock(log: RecordedLog) -> list[str]:
+def _clock(log: RecordedLog) -> str:
     steps = np.diff(log.time)
-    if len(steps) > 1 and not (steps > 0.0).any():
-        return [
-            (
-                "the times never rise: does the clock stand still, or does the log begin with its "
-                "newest row?"
-            )
-        ]
-    steps = steps[steps > 0.0]
-    if not len(steps) or _SHORTEST_PERIOD <= (period := float(np.median(steps))) <= _LONGEST_PERIOD:
-        return []
-    return [
-        (
-            f"the median time between two events is {period:.3g} s: are the times in seconds? "
-            "--time-unit converts"
+    rising = steps[steps > 0.0]
+    if len(steps) > 1 and not len(rising):
+        return (
+            "the times never rise: does the clock stand still, or does the log begin with its "
+            "newest row?"
         )
-    ]
+    period = float(np.median(rising)) if len(rising) else _SHORTEST_PERIOD
+    if _SHORTEST_PERIOD <= period <= _LONGEST_PERIOD:
+        return ""
+    return (
+        f"the median time between two events is {period:.3g} s: are the times in seconds? "
+        "--time-unit converts"
+    )
 
 
-def _about_breaks(log: RecordedLog) -> list[str]:
-    return [breaks_in_words(log.breaks)] if log.breaks else []
-
-
-def _about_gaps(log: RecordedLog) -> list[str]:
+def _uncounted(log: RecordedLog) -> str:
+    """Gaps in which the wheels of a log did not count."""
     if log.wheels is None:
-        return []
+        return ""
     start = np.zeros(3)
     path = np.vstack((start, se2.driven(log.wheels[1:], log.robot.axle, start)))
-    lost = [each for each in odometry_breaks(log.time, path) if not each.is_jump]
+    gaps = [each for each in odometry_breaks(log.time, path) if not each.is_jump]
     remedy = "counters, with --accumulated, count on while rows are missing"
-    found = [f"{breaks_in_words(lost)}; {remedy}"] if lost else []
+    return f"{breaks_in_words(gaps)}; {remedy}" if gaps else ""
+
+
+def _long_steps(log: RecordedLog) -> str:
+    """Steps in which a wheel travels so far that the way is not known."""
+    if log.wheels is None:
+        return ""
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
-    (rows,) = np.nonzero(travel > _LARGEST_STEP)
-    gaps = [
+    steps = [
         f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s"
-        for row in rows
+        for row in np.flatnonzero(travel > _LARGEST_STEP)
     ]
-    more = ", ..." if len(gaps) > _MOST_NAMED else ""
+    if not steps:
+        return ""
+    more = ", ..." if len(steps) > _MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
-    if gaps:
-        found.append(f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}")
-    return found
+    return f"a wheel travels {', '.join(steps[:_MOST_NAMED])}{more}: {consequence}"
 
 
-def _about_ranges(log: RecordedLog) -> list[str]:
-    near, share = _seen(log)
-    if math.isnan(share):
-        return []
+def _ranges(log: RecordedLog) -> str:
+    walls, share = _seen(log)
     reach = float(log.robot.max_ranges.max())
     if share > _MOSTLY_NOTHING:
-        text = (
-            f"{share:.1%} of the readings saw nothing up to {reach:g} m: are the ranges in metres?"
+        return (
+            f"{share:.1%} of the readings saw nothing up to {reach:g} m: are the ranges in metres? "
+            "--range-unit converts"
         )
-        return [f"{text} --range-unit converts"]
-    farthest = float(near.max(initial=0.0))
-    if share > _BY_CHANCE and farthest < _CLEARLY_BELOW * reach:
-        numbers = (
-            f"the longest range is {reach:g} m, but the largest reading of a wall is "
-            f"{farthest:.2f} m"
-        )
-        effect = f"the {share:.0%} of the readings that saw nothing clear space that was not seen"
-        option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
-        return [f"{numbers}: if the sensors see no farther, {effect}; {option}"]
-    return []
+    farthest = float(walls.max(initial=0.0))
+    if not share > _BY_CHANCE or farthest >= _CLEARLY_BELOW * reach:
+        return ""
+    return (
+        f"the longest range is {reach:g} m, but the largest reading of a wall is {farthest:.2f} m: "
+        f"if the sensors see no farther, the {share:.0%} of the readings that saw nothing clear "
+        f"space that was not seen; --max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another "
+        "longest range"
+    )
 
 
-def _about_beams(log: RecordedLog) -> list[str]:
+def _beams(log: RecordedLog) -> str:
     """Beams that always say the same or nothing, although the readings of another one show that the
     robot has moved.
     """
     if _spread(log) < _LEAST_SPREAD:
-        return []
+        return ""
+    too_far = log.robot.too_far
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
     # nan where a beam has no reading
     lowest = np.fmin.reduce(readings)
-    highest = np.fmax.reduce(readings)
     counts = (~np.isnan(readings)).sum(axis=0)
-    is_dead = highest == lowest
-    saw_nothing = lowest >= log.robot.too_far
+    is_dead = np.fmax.reduce(readings) == lowest
+    saw_nothing = lowest >= too_far
     others = readings[:, ~saw_nothing]
-    if (
-        np.count_nonzero(others >= log.robot.too_far[~saw_nothing])
-        > _MANY_NOTHING * np.isfinite(others).sum()
-    ):
+    nothing_of_others = np.count_nonzero(others >= too_far[~saw_nothing])
+    if nothing_of_others > _MANY_NOTHING * np.isfinite(others).sum():
         is_dead &= ~saw_nothing
     is_dead |= counts == 0
     if not is_dead.any():
-        return []
+        return ""
     angles = [f"{angle:g}" for angle in np.round(np.degrees(log.robot.beam_angles), 1)]
-    said = [
-        f"says {'nothing was seen' if nothing else f'{low:.3g}'} in all of its {count} readings"
-        if count
-        else "has no reading"
-        for nothing, low, count in zip(saw_nothing, lowest, counts, strict=True)
-    ]
-    which = ", ".join(
-        f"the beam at {angles[beam]} deg {said[beam]}" for beam in np.nonzero(is_dead)[0]
-    )
+    findings = []
+    for beam in np.flatnonzero(is_dead):
+        value = "nothing was seen" if saw_nothing[beam] else f"{lowest[beam]:.3g}"
+        always = f"says {value} in all of its {counts[beam]} readings"
+        which = always if counts[beam] else "has no reading"
+        findings.append(f"the beam at {angles[beam]} deg {which}")
     kept = ",".join(angle for angle, dead in zip(angles, is_dead, strict=True) if not dead)
-    return [f"{which}: is its sensor connected? --beams={kept} leaves it out"]
+    return f"{', '.join(findings)}: is its sensor connected? --beams={kept} leaves it out"
 
 
-def _about_odometry(log: RecordedLog) -> list[str]:
+def _poses(log: RecordedLog) -> str:
+    """What is unlikely about odometry poses: whether and how fast they move, and which way."""
     odometry = log.continuous_odometry
     if odometry is None:
-        return [] if log.wheels is None else _about_wheels(log, log.wheels)
+        return ""
     reach = float(np.hypot(*np.ptp(odometry[:, :2], axis=0)))
     if reach < _LEAST_DRIVEN:
         spread = _spread(log)
         if spread < _LEAST_SPREAD:
-            return []
-        text = (
+            return ""
+        return (
             f"by odometry the robot stays within {reach:.2f} m, but its readings change by "
-            f"{spread:.2f} m"
+            f"{spread:.2f} m: is odometry missing, or not in metres?"
         )
-        return [f"{text}: is odometry missing, or not in metres?"]
-    driven = float(np.hypot(*np.diff(odometry[:, :2], axis=0).T).sum())
+    moves = np.diff(odometry[:, :2], axis=0)
+    lengths = np.hypot(*moves.T)
+    driven = float(lengths.sum())
     speed = driven / max(float(np.ptp(log.time)), 1e-9)
     if speed > _FASTEST:
-        return [
-            f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"
-        ]
+        return f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"
     per_metre = float(np.abs(se2.wrap_angle(np.diff(odometry[:, 2]))).sum()) / driven
-    if per_metre > _MOST_TURNS and _alignment(odometry) < _LEAST_ALIGNED:
+    # How well the direction of driving follows the heading, ahead or back, from 0 to 1
+    aside = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
+    aligned = float(abs(np.sum(lengths * np.exp(2j * aside)))) / driven
+    if per_metre > _MOST_TURNS and aligned < _LEAST_ALIGNED:
         turns = f"by odometry the robot turns by {per_metre:.1f} rad on each metre"
-        return [f"{turns}: is its heading in radians?"]
-    return []
+        return f"{turns}: is its heading in radians?"
+    return ""
 
 
-def _alignment(odometry: FloatArray) -> float:
-    """How well the direction of driving follows the heading of poses (n, 3), ahead or back, from 0
-    to 1.
-    """
-    moves = np.diff(odometry[:, :2], axis=0)
-    turned = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
-    return float(
-        abs(np.sum(np.hypot(*moves.T) * np.exp(2j * turned)))
-        / max(float(np.hypot(*moves.T).sum()), 1e-9)
-    )
-
-
-def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
-    """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, how fast, and
-    which way.
-    """
-    left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
-    if left == right == 0.0:
-        return [
-            (
-                "the wheels never move: are the encoders connected, and are left and right their "
-                "columns?"
-            )
-        ]
-    speed = max(left, right) / max(float(np.ptp(log.time)), 1e-9)
-    most = log.robot.max_wheel_speed
-    if speed > _CLEARLY_FASTER * most:
-        text = (
-            f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is "
-            f"{most:g} m/s"
+def _wheels(log: RecordedLog) -> str:
+    """What is unlikely about the travel of the wheels: whether they move, and how fast."""
+    if log.wheels is None:
+        return ""
+    left, right = np.abs(log.wheels[1:]).sum(axis=0).tolist()
+    most = max(left, right)
+    if most == 0.0:
+        return (
+            "the wheels never move: are the encoders connected, and are left and right their "
+            "columns?"
         )
-        question = "are left and right travel, not speeds, and are the metres for each tick right?"
-        return [f"{text}: {question} If the robot is so fast, set max_wheel_speed in its file"]
-    if min(left, right) == 0.0 and max(left, right) >= _LEAST_DRIVEN:
+    speed = most / max(float(np.ptp(log.time)), 1e-9)
+    limit = log.robot.max_wheel_speed
+    if speed > _CLEARLY_FASTER * limit:
+        return (
+            f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is "
+            f"{limit:g} m/s: are left and right travel, not speeds, and are the metres for each "
+            "tick right? If the robot is so fast, set max_wheel_speed in its file"
+        )
+    if min(left, right) == 0.0 and most >= _LEAST_DRIVEN:
         still, moving = ("left", "right") if left == 0.0 else ("right", "left")
-        travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
-        question = f"is its encoder connected, and is {still} its column?"
-        return [f"the {still} wheel never moves, {travel}: {question}"]
-    return []
+        return (
+            f"the {still} wheel never moves, while the {moving} wheel travels {most:.1f} m: is its "
+            f"encoder connected, and is {still} its column?"
+        )
+    return ""
 
 
 def _spread(log: RecordedLog) -> float:
     """The range of the middle half of a beam's readings of walls, m: the largest of all beams."""
     readings = log.ranges[log.has_scan].astype(np.float64)
-    seen = np.where(np.isfinite(readings) & (readings < log.robot.too_far), readings, np.nan)
-    seen = seen[:, np.isfinite(seen).any(axis=0)] if seen.size else seen
-    if not seen.size:
+    walls = np.where(np.isfinite(readings) & (readings < log.robot.too_far), readings, np.nan)
+    walls = walls[:, np.isfinite(walls).any(axis=0)]
+    if not walls.size:
         return 0.0
-    low, high = np.nanquantile(seen, (0.25, 0.75), axis=0)
-    return float((high - low).max())
+    return float(np.ptp(np.nanquantile(walls, (0.25, 0.75), axis=0), axis=0).max())
 
 
 def _seen(log: RecordedLog) -> tuple[FloatArray, float]:
-    """Readings of walls (k,), m, and the share of readings that saw nothing. NaN where there are no
+    """Readings of walls (k,), m, and the share of readings that saw nothing; NaN without
     readings.
     """
     readings = log.ranges[log.has_scan].astype(np.float64)
@@ -258,7 +239,7 @@ def _seen(log: RecordedLog) -> tuple[FloatArray, float]:
 
 def _why_no_walls(replay: Replay) -> str:
     log = replay.log
-    share = _seen(log)[1]
+    _, share = _seen(log)
     driven = float(np.hypot(*np.diff(replay.odometry[:, :2], axis=0).T).sum())
     if math.isnan(share):
         return "the log has no readings"

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from limslam_agent.slam.graph.local_maps import Cells
+from limslam_agent.slam.map_graph.local_maps import Cells
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
 

@@ -16,17 +16,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
-from limslam_agent.slam.graph.chunk_graph import ChunkGraph, inflated
-from limslam_agent.slam.graph.key_poses import (
+from limslam_agent.slam.map_graph.chunk_graph import ChunkGraph, inflated
+from limslam_agent.slam.map_graph.key_poses import (
     KEY_DISTANCE,
     KEY_TURN,
     LogData,
     calibrated_motion,
     motion_variances,
 )
-from limslam_agent.slam.graph.local_maps import cut_chunks
-from limslam_agent.slam.graph.reversing import LEAST_LENGTH, driven_backwards
-from limslam_agent.slam.online_graph.window import (
+from limslam_agent.slam.map_graph.local_maps import cut_chunks
+from limslam_agent.slam.map_graph.reversing import LEAST_LENGTH, driven_backwards
+from limslam_agent.slam.map_graph.window import (
     LocalFrame,
     OdometryErrors,
     RecentEvents,

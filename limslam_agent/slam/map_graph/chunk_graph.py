@@ -17,15 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import (
-    Relations,
-    add_relations,
-    loop_weights,
-    relation_factor,
-)
-from limslam_agent.slam.graph.local_maps import LocalMap
-from limslam_agent.slam.graph.matching import (
+from limslam_agent.slam.graph.factors import Relations, cauchy, relation
+from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
+from limslam_agent.slam.map_graph.factors import loop_kernel
+from limslam_agent.slam.map_graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, integrate
+from limslam_agent.slam.map_graph.local_maps import LocalMap
+from limslam_agent.slam.map_graph.matching import (
     Match,
     SearchGrid,
     Window,
@@ -33,8 +30,7 @@ from limslam_agent.slam.graph.matching import (
     match_covariance,
     search_grid,
 )
-from limslam_agent.slam.graph.posterior import rigid_motions
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
+from limslam_agent.slam.map_graph.posterior import rigid_motions
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # The covariance of a hop is the local graph's covariance times the first number, plus the squares
@@ -135,12 +131,12 @@ def _solved(
 ) -> tuple[FloatArray, FloatArray]:
     for factor in annealing:
         for _ in range(_ITERATIONS):
-            step = _equations(poses, hops, loops, factor)[0].solve().reshape(-1, 3)
+            step = _graph(poses, hops, loops, factor)[0].solve().reshape(-1, 3)
             poses = poses + step
             poses[:, 2] = se2.wrap_angle(poses[:, 2])
             if np.abs(step).max() < _TOLERANCE:
                 break
-    return poses, _equations(poses, hops, loops, 1.0)[1]
+    return poses, _graph(poses, hops, loops, 1.0)[1]
 
 
 def carry_over(
@@ -165,26 +161,17 @@ def carry_over(
     return Trajectory(moved, trajectory.bias)
 
 
-def _equations(
+def _graph(
     poses: FloatArray, hops: Hops, loops: Sequence[Loop], factor: float
-) -> tuple[NormalEquations, FloatArray]:
-    """The normal equations with kernels that are wider by a factor, and the weights of the
-    loops.
-    """
-    equations = NormalEquations(3 * len(poses))
+) -> tuple[Graph, FloatArray]:
+    """The graph with kernels that are wider by a factor, and the weights of the loops."""
+    graph = Graph(Nodes(poses=(len(poses), 3)))
     first = np.arange(len(poses) - 1)
     certainty = np.asarray(np.linalg.inv(hops.covariances))
-    add_relations(
-        equations,
-        poses,
-        np.column_stack((first, first + 1)),
-        hops.motions,
-        certainty,
-        lambda chi2: 1.0 / (1.0 + chi2 / (_HOP_KERNEL * factor)),
-    )
-    return equations, add_relations(
-        equations, poses, *relations_of(loops), lambda chi2: loop_weights(chi2, factor)
-    )
+    chain = relation(poses, np.column_stack((first, first + 1)), hops.motions, certainty)
+    graph.add_robust(chain, cauchy(_HOP_KERNEL * factor))
+    closures = relation(poses, *relations_of(loops))
+    return graph, graph.add_robust(closures, loop_kernel(factor))
 
 
 class ChunkGraph:
@@ -220,27 +207,29 @@ class ChunkGraph:
         """Standard deviation of the last chunk's position in the map, m: after the alignment of all
         chunks.
         """
-        columns = pose_columns(np.arange(len(self.poses)))[:, :2].reshape(1, -1)
+        poses = np.arange(len(self.poses))
         basis = rigid_motions(self.poses[:, :2])
-        aligned = np.eye(columns.size)[-2:] - basis[-2:] @ basis.T
-        return float(np.sqrt(max(np.trace(self.covariances(columns, aligned[None])[0]), 0.0)))
+        aligned = np.zeros((1, 2, len(poses), 3))
+        aligned[..., :2] = (np.eye(2 * len(poses))[-2:] - basis[-2:] @ basis.T).reshape(1, 2, -1, 2)
+        keys = tuple(("poses", poses[[number]]) for number in poses)
+        factors = Factors(keys, np.zeros((1, 2)), aligned.reshape(1, 2, -1))
+        return float(np.sqrt(max(np.trace(self.covariances(factors)[0]), 0.0)))
 
     @property
     def last_covariance(self) -> FloatArray:
         """Covariance (3, 3) of the last chunk's pose, relative to the first chunk."""
-        last = pose_columns(np.array([len(self.poses) - 1]))
-        return np.asarray(self.covariances(last, np.eye(3)[None])[0])
+        keys = (("poses", np.array([len(self.poses) - 1])),)
+        return np.asarray(self.covariances(Factors(keys, np.zeros((1, 3)), np.eye(3)[None]))[0])
 
-    def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        """Covariances (f, d, d) of quantities, relative to the first chunk.
+    def covariances(self, factors: Factors) -> FloatArray:
+        """Covariances (f, d, d) of what factors measure, relative to the first chunk.
 
-        Their Jacobians (f, d, q) refer to the coordinates ``columns`` (f, q) of the poses. The
-        joint covariance of all poses is never made: it grows with the square of a drive's length.
+        The joint covariance of all poses is never made: it grows with the square of a drive's
+        length.
         """
         if len(self.poses) == 1:
-            return np.zeros((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
-        equations, _ = _equations(self.poses, self.hops, self.loops, 1.0)
-        return equations.covariances(columns, jacobian)
+            return np.zeros((*factors.errors.shape, factors.errors.shape[1]))
+        return _graph(self.poses, self.hops, self.loops, 1.0)[0].covariances(factors)
 
     def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
         """Add a chunk, search for its loops, and solve the graph if it has changed.
@@ -315,10 +304,8 @@ class ChunkGraph:
         """Standard deviations (k,), m and rad, of the newest chunk's pose in the frames of old
         chunks (k,).
         """
-        newest = np.full(len(old), len(self.poses) - 1)
-        _, jacobian = relation_factor(self.poses, newest, old, np.zeros((len(old), 3)))
-        columns = np.hstack((pose_columns(newest), pose_columns(old)))
-        covariance = self.covariances(columns, jacobian)
+        ends = np.column_stack((np.full(len(old), len(self.poses) - 1), old))
+        covariance = self.covariances(relation(self.poses, ends, np.zeros((len(old), 3))))
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
         return position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 

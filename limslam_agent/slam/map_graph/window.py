@@ -14,7 +14,9 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, SmoothingConfig
-from limslam_agent.slam.graph.key_poses import (
+from limslam_agent.slam.graph.factors import prior
+from limslam_agent.slam.graph.graph import Graph
+from limslam_agent.slam.map_graph.key_poses import (
     APART,
     ERRORS,
     KEY_DISTANCE,
@@ -29,12 +31,11 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.smoothing import (
-    cautious_equations,
+from limslam_agent.slam.map_graph.smoothing import (
+    cautious_graph,
     motion_covariances,
     smooth_locally,
 )
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import between, compose
 
@@ -228,11 +229,11 @@ class LocalFrame:
     trajectory: Trajectory
     poses: FloatArray
     errors: OdometryErrors
-    _equations: NormalEquations
+    _graph: Graph
 
     def covariances(self, keys: IntArray) -> FloatArray:
         """Covariances (k - 1, 3, 3) of the motions between successive key poses ``keys`` (k,)."""
-        return motion_covariances(self._equations, self.trajectory.poses, keys)
+        return motion_covariances(self._graph, self.trajectory.poses, keys)
 
 
 def smooth_window(
@@ -250,8 +251,8 @@ def smooth_window(
     trajectory = smooth_locally(
         keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std
     )
-    equations = cautious_equations(keys, trajectory, config, data.range_std)
-    columns = 3 * len(keys) + np.arange(ERRORS)
-    information = np.linalg.inv(equations.covariances(columns[None], np.eye(ERRORS)[None])[0])
+    graph = cautious_graph(keys, trajectory, config, data.range_std)
+    known = prior("errors", trajectory.bias[None], np.eye(ERRORS))
+    information = np.linalg.inv(graph.covariances(known)[0])
     after = errors.after(trajectory.bias, information, share)
-    return LocalFrame(keys, trajectory, event_poses(keys, trajectory), after, equations)
+    return LocalFrame(keys, trajectory, event_poses(keys, trajectory), after, graph)

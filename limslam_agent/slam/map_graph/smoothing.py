@@ -12,22 +12,21 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import (
-    Relations,
-    add_links,
-    add_odometry,
-    add_relations,
-    relation_factor,
-)
-from limslam_agent.slam.graph.point_links import links_across, links_along, point_cloud
-from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
+from limslam_agent.slam.graph.factors import Relations, geman_mcclure, prior, relation
+from limslam_agent.slam.graph.graph import Graph, Nodes
+from limslam_agent.slam.map_graph.factors import loop_kernel, odometry, point_link, point_on_wall
+from limslam_agent.slam.map_graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
+from limslam_agent.slam.map_graph.point_links import links_across, links_along, point_cloud
+from limslam_agent.slam.map_graph.wall_lines import find_lines
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # m, beside the noise of a range
 _LINK_STD = 0.08
-_LINE_STD = 0.12
+_WALL_STD = 0.12
+# scales of the kernels, in standard deviations
+_LINK_KERNEL = 2.0
+_WALL_KERNEL = 1.0
+_WALL_PRIOR = 0.01  # inverse variance of the turn, rad^2, and of the offset, m^2, of each wall
 # of the standard deviations of links, where more than the local trajectory follows from them
 _INFLATION = 1.5
 _BUNDLE_ITERATIONS = 6
@@ -51,7 +50,7 @@ def smooth_locally(
         widening = max(1.0, 2.0 * 0.7**number)
         trajectory = _chained(
             trajectory,
-            _equations(keys, trajectory, config, range_std, link_factor=widening).solve(),
+            _graph(keys, trajectory, config, range_std, link_factor=widening),
         )
     last = max(1, counts.line_iterations - 3)
     for number in range(counts.line_iterations):
@@ -61,8 +60,8 @@ def smooth_locally(
         near = replace(
             config, lines=replace(walls, window=window, tolerance=widening * walls.tolerance)
         )
-        equations = _equations(keys, trajectory, near, range_std, wall_factor=widening)
-        trajectory = _chained(trajectory, equations.solve())
+        graph = _graph(keys, trajectory, near, range_std, wall_factor=widening)
+        trajectory = _chained(trajectory, graph)
     return trajectory
 
 
@@ -78,17 +77,15 @@ def bundle(
     """
     for number in range(_BUNDLE_ITERATIONS):
         radius = _RADIUS * (_LAST_RADIUS / _RADIUS) ** (number / (_BUNDLE_ITERATIONS - 1))
-        equations = bundle_equations(
-            keys, trajectory, relations, config, range_std, radius, _INFLATION
-        )
-        by_poses, by_bias = _divided(equations.solve(), len(keys))
+        graph = bundle_graph(keys, trajectory, relations, config, range_std, radius, _INFLATION)
+        by_poses, by_bias = _step(graph)
         poses = trajectory.poses + by_poses
         poses[:, 2] = se2.wrap_angle(poses[:, 2])
         trajectory = Trajectory(poses, trajectory.bias + by_bias)
     return trajectory
 
 
-def bundle_equations(
+def bundle_graph(
     keys: KeyPoses,
     trajectory: Trajectory,
     relations: Relations,
@@ -96,13 +93,13 @@ def bundle_equations(
     range_std: float,
     radius: float = _LAST_RADIUS,
     link_factor: float = 1.0,
-) -> NormalEquations:
-    """Normal equations of a bundle that links visits within a radius, m.
+) -> Graph:
+    """The graph of a bundle that links visits within a radius, m.
 
     Without ``link_factor``, the stated errors of 23 made-up logs were right on average (NEES / 2 of
     0.95).
     """
-    return _equations(
+    return _graph(
         keys,
         trajectory,
         config,
@@ -114,28 +111,22 @@ def bundle_equations(
     )
 
 
-def cautious_equations(
+def cautious_graph(
     keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
-) -> NormalEquations:
-    """Normal equations of a smoothed trajectory by odometry and links along the way, for its
-    covariances.
-    """
-    return _equations(keys, trajectory, config, range_std, link_factor=_INFLATION)
+) -> Graph:
+    """The graph by which a locally smoothed trajectory is known: odometry and links along it."""
+    return _graph(keys, trajectory, config, range_std, link_factor=_INFLATION)
 
 
-def motion_covariances(
-    equations: NormalEquations, poses: FloatArray, numbers: IntArray
-) -> FloatArray:
+def motion_covariances(graph: Graph, poses: FloatArray, numbers: IntArray) -> FloatArray:
     """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses
     (m, 3).
     """
-    first = numbers[:-1]
-    second = numbers[1:]
-    _, jacobian = relation_factor(poses, first, second, np.zeros((len(first), 3)))
-    return equations.covariances(np.hstack((pose_columns(first), pose_columns(second))), jacobian)
+    ends = np.column_stack((numbers[:-1], numbers[1:]))
+    return graph.covariances(relation(poses, ends, np.zeros((len(ends), 3))))
 
 
-def _equations(
+def _graph(
     keys: KeyPoses,
     trajectory: Trajectory,
     config: GraphConfig,
@@ -145,46 +136,51 @@ def _equations(
     link_factor: float = 1.0,
     wall_factor: float = 0.0,
     radius: float = 0.0,
-) -> NormalEquations:
-    """Normal equations of odometry, links along the way, and walls, links between visits and loops
-    if asked.
+) -> Graph:
+    """The graph of odometry, links along the way, and walls, links between visits and loops if
+    asked.
 
     The factors are those of the standard deviations of points about links and walls. ``radius`` is
     that of links between visits, m.
     """
     cloud = point_cloud(keys, trajectory, range_std)
     poses = trajectory.poses
-    lines = find_lines(cloud, config.lines) if wall_factor else None
-    equations = NormalEquations(3 * len(keys) + ERRORS + (2 * len(lines.angles) if lines else 0))
-    add_odometry(equations, keys, trajectory, config.motion)
-    link_std, line_std = (float(np.hypot(each, range_std)) for each in (_LINK_STD, _LINE_STD))
-    add_links(equations, poses, cloud, links_along(cloud), link_factor * link_std)
+    walls = find_lines(cloud, config.lines) if wall_factor else None
+    count = len(walls.angles) if walls else 0
+    graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2)))
+    graph.add(odometry(keys, trajectory))
+    known = np.diag(np.array(config.motion.stds) ** -2.0)
+    graph.add(prior("errors", trajectory.bias[None], known))
+    link_std, wall_std = (float(np.hypot(each, range_std)) for each in (_LINK_STD, _WALL_STD))
+    robust = geman_mcclure(_LINK_KERNEL)
+    graph.add_robust(point_link(poses, cloud, links_along(cloud), link_factor * link_std), robust)
     if radius:
-        widening = max(1.0, radius / _LAST_RADIUS)
-        add_links(
-            equations, poses, cloud, links_across(cloud, radius), widening * link_factor * link_std
-        )
-    if lines:
-        add_lines(equations, poses, cloud, lines, wall_factor * line_std)
+        std = max(1.0, radius / _LAST_RADIUS) * link_factor * link_std
+        graph.add_robust(point_link(poses, cloud, links_across(cloud, radius), std), robust)
+    if walls:
+        on_walls = point_on_wall(poses, cloud, walls, wall_factor * wall_std)
+        graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))
+        graph.add(prior("walls", np.zeros((count, 2)), _WALL_PRIOR * np.eye(2)))
     if relations:
-        add_relations(equations, poses, *relations)
-    return equations
+        graph.add_robust(relation(poses, *relations), loop_kernel())
+    return graph
 
 
-def _chained(trajectory: Trajectory, step: FloatArray) -> Trajectory:
-    """Apply a step to the relative motions between key poses and integrate them again."""
-    count = len(trajectory.poses)
-    first = np.arange(count - 1)
-    motions, jacobian = relation_factor(
-        trajectory.poses, first, first + 1, np.zeros((count - 1, 3))
-    )
-    by_poses, by_bias = _divided(step, count)
-    change = np.einsum("fij,fj->fi", jacobian, np.hstack((by_poses[:-1], by_poses[1:])))
+def _chained(trajectory: Trajectory, graph: Graph) -> Trajectory:
+    """Apply the step of a graph to the relative motions between key poses and integrate them
+    again.
+    """
+    by_poses, by_bias = _step(graph)
+    poses = trajectory.poses
+    first = np.arange(len(poses) - 1)
+    motions = relation(poses, np.column_stack((first, first + 1)), np.zeros((len(first), 3)))
+    change = np.einsum("fij,fj->fi", motions.jacobian, np.hstack((by_poses[:-1], by_poses[1:])))
     return Trajectory(
-        integrate(trajectory.poses[0] + by_poses[0], motions + change), trajectory.bias + by_bias
+        integrate(poses[0] + by_poses[0], motions.errors + change), trajectory.bias + by_bias
     )
 
 
-def _divided(step: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
-    """The parts of a step for the poses (count, 3) and for the constant errors of odometry (5,)."""
-    return step[: 3 * count].reshape(-1, 3), step[3 * count : 3 * count + ERRORS]
+def _step(graph: Graph) -> tuple[FloatArray, FloatArray]:
+    """The step of the poses (m, 3) and of the constant errors of odometry (5,)."""
+    step = graph.solve()
+    return step[graph.nodes.columns("poses")], step[graph.nodes.columns("errors")[0]]

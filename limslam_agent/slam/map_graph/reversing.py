@@ -20,10 +20,10 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.chunk_graph import SCORES, TURN_STEP
-from limslam_agent.slam.graph.key_poses import STANDING, LogData, integrate
-from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews, moves_of
-from limslam_agent.slam.graph.matching import NO_MATCH, Window
+from limslam_agent.slam.map_graph.chunk_graph import SCORES, TURN_STEP
+from limslam_agent.slam.map_graph.key_poses import STANDING, LogData, integrate
+from limslam_agent.slam.map_graph.local_views import AFTER, BEFORE, LocalViews, moves_of
+from limslam_agent.slam.map_graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured

@@ -10,10 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
-from limslam_agent.slam.graph.least_squares import Relations, odometry_factor
-from limslam_agent.slam.graph.smoothing import bundle_equations
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
+from limslam_agent.slam.graph.factors import Relations
+from limslam_agent.slam.graph.graph import Graph
+from limslam_agent.slam.map_graph.factors import odometry
+from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.map_graph.smoothing import bundle_graph
 from limslam_env.geometry import FloatArray
 
 # Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies
@@ -44,16 +45,16 @@ def position_covariance(
     """
     if len(keys) < 2:
         return np.zeros((2, 2))
-    equations = bundle_equations(keys, trajectory, relations, config, range_std)
+    graph = bundle_graph(keys, trajectory, relations, config, range_std)
     for _ in range(_ITERATIONS):
-        ratios = odometry_ratios(keys, trajectory, equations)
+        ratios = odometry_ratios(keys, trajectory, graph)
         keys = replace(keys, step_variances=keys.step_variances * ratios)
-        equations = bundle_equations(keys, trajectory, relations, config, range_std)
+        graph = bundle_graph(keys, trajectory, relations, config, range_std)
     numbers = np.unique(np.searchsorted(keys.key_driven, _evenly(keys.key_driven[-1])))
-    columns = pose_columns(numbers)[:, :2].ravel()
-    rows = np.zeros((equations.size, len(columns)))
+    columns = graph.nodes.columns("poses")[numbers, :2].ravel()
+    rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
-    covariance = equations.solved(equations.factorise(), rows)[columns]
+    covariance = graph.solved(graph.factorise(), rows)[columns]
     return aligned_covariance(covariance, trajectory.poses[numbers, :2])
 
 
@@ -79,35 +80,29 @@ def rigid_motions(positions: FloatArray) -> FloatArray:
     return np.asarray(basis)
 
 
-def odometry_ratios(
-    keys: KeyPoses, trajectory: Trajectory, equations: NormalEquations
-) -> FloatArray:
+def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> FloatArray:
     """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
 
     One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the
-    errors of odometry over some metres, and their posterior variances in the ``equations`` of the
-    path.
+    errors of odometry over some metres, and their posterior variances in the graph of the path.
     """
-    errors, jacobian = odometry_factor(keys, trajectory)
+    factors = odometry(keys, trajectory)
+    errors = factors.errors
     driven = keys.key_driven
     begins = np.searchsorted(driven, _evenly(driven[-1] - _WINDOW))
     ends = np.minimum(np.searchsorted(driven, driven[begins] + _WINDOW), len(errors))
     begins = np.minimum(begins, ends - 1)
-    biases = np.arange(3 * len(keys), 3 * len(keys) + jacobian.shape[2] - 6)
-    first = np.arange(len(errors))
-    columns = np.hstack(
-        (pose_columns(first), pose_columns(first + 1), np.tile(biases, (len(first), 1)))
-    )
-    sums = np.zeros((len(begins), 3, equations.size))
+    columns = graph.nodes.columns_of(factors.keys)
+    sums = np.zeros((len(begins), 3, graph.nodes.size))
     squares = np.zeros((len(begins), 3))
     assumed = np.zeros((len(begins), 3))
     for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         squares[window] = errors[begin:end].sum(axis=0) ** 2
         assumed[window] = keys.step_variances[begin:end].sum(axis=0)
         for part in range(3):
-            np.add.at(sums[window, part], columns[begin:end], jacobian[begin:end, part])
-    rows = sums.reshape(-1, equations.size).T
-    posterior = (rows * equations.solved(equations.factorise(), rows)).sum(axis=0).reshape(-1, 3)
+            np.add.at(sums[window, part], columns[begin:end], factors.jacobian[begin:end, part])
+    rows = sums.reshape(-1, graph.nodes.size).T
+    posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0).reshape(-1, 3)
     return np.asarray(((squares + posterior) / assumed).mean(axis=0))
 
 

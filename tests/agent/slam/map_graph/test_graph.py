@@ -9,15 +9,18 @@ import pytest
 from support.corridors import corridor_log
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig, WallLineConfig
-from limslam_agent.slam.graph import matching
-from limslam_agent.slam.graph.agreement import VisitCounts, supported
-from limslam_agent.slam.graph.chunk_graph import (
+from limslam_agent.slam.graph.factors import geman_mcclure, relation
+from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
+from limslam_agent.slam.map_graph import matching
+from limslam_agent.slam.map_graph.agreement import VisitCounts, supported
+from limslam_agent.slam.map_graph.chunk_graph import (
     ChunkGraph,
     Hops,
     Loop,
     solve_annealed,
 )
-from limslam_agent.slam.graph.key_poses import (
+from limslam_agent.slam.map_graph.factors import odometry, point_link, point_on_wall
+from limslam_agent.slam.map_graph.key_poses import (
     ERRORS,
     LogData,
     Trajectory,
@@ -28,19 +31,22 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.least_squares import (
-    NormalEquations,
-    add_robust,
-    link_factor,
-    odometry_factor,
-    pose_columns,
-    relation_factor,
+from limslam_agent.slam.map_graph.local_maps import HIT, LocalMap, draw_grid, thinned
+from limslam_agent.slam.map_graph.matching import (
+    NO_MATCH,
+    Window,
+    match,
+    match_covariance,
+    search_grid,
 )
-from limslam_agent.slam.graph.local_maps import HIT, LocalMap, draw_grid, thinned
-from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, search_grid
-from limslam_agent.slam.graph.point_links import find_normals, links_across, point_cloud
-from limslam_agent.slam.graph.posterior import aligned_covariance
-from limslam_agent.slam.graph.wall_lines import line_factor, lines_in
+from limslam_agent.slam.map_graph.point_links import (
+    PointCloud,
+    find_normals,
+    links_across,
+    point_cloud,
+)
+from limslam_agent.slam.map_graph.posterior import aligned_covariance
+from limslam_agent.slam.map_graph.wall_lines import WallLines, lines_in
 from limslam_env.geometry import se2
 
 RNG = np.random.default_rng(1)
@@ -164,12 +170,9 @@ def curved_log(count=60):
 def test_relation_jacobian():
     poses = RNG.normal(0.0, 2.0, (2, 3))
     measured = RNG.normal(0.0, 1.0, (1, 3))
-
-    def error(both):
-        return relation_factor(both, np.array([0]), np.array([1]), measured)[0][0]
-
-    _, jacobian = relation_factor(poses, np.array([0]), np.array([1]), measured)
-    assert np.allclose(jacobian[0], central_differences(error, poses), atol=1e-7)
+    ends = np.array([[0, 1]])
+    wanted = central_differences(lambda each: relation(each, ends, measured).errors[0], poses)
+    assert np.allclose(relation(poses, ends, measured).jacobian[0], wanted, atol=1e-7)
 
 
 def test_odometry_jacobian_by_poses_and_constant_errors():
@@ -178,12 +181,10 @@ def test_odometry_jacobian_by_poses_and_constant_errors():
     poses = odometry_trajectory(keys, np.array([1.0, 2.0, 0.5])).poses + RNG.normal(
         0.0, 0.02, (len(keys), 3)
     )
-    _, jacobian = odometry_factor(keys, Trajectory(poses, bias))
-    by_bias = central_differences(
-        lambda each: odometry_factor(keys, Trajectory(poses, each))[0], bias
-    )
+    jacobian = odometry(keys, Trajectory(poses, bias)).jacobian
+    by_bias = central_differences(lambda each: odometry(keys, Trajectory(poses, each)).errors, bias)
     by_poses = central_differences(
-        lambda each: odometry_factor(keys, Trajectory(each, bias))[0], poses
+        lambda each: odometry(keys, Trajectory(each, bias)).errors, poses
     )
     # The missed heading is spread along the step: second-order terms of it are left out.
     assert np.allclose(jacobian[:, :, 6:], by_bias, atol=1e-3)
@@ -195,21 +196,28 @@ def rotation(heading):
     return np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
 
 
+STD = 0.2
+
+
 def test_link_jacobian():
     poses = RNG.normal(0.0, 2.0, (2, 3))
-    point, other = RNG.normal(0.0, 2.0, (2, 2))
-    normal = np.array([np.cos(0.7), np.sin(0.7)])
+    own = RNG.normal(0.0, 2.0, (2, 2))
+    normals = np.array([[0.0, 1.0], [np.cos(0.7), np.sin(0.7)]])
 
     def factor(both):
-        (first, second), turns = both, [rotation(each[2]) for each in both]
-        in_world = turns[0] @ point + first[:2], turns[1] @ other + second[:2], turns[1] @ normal
-        return link_factor(first[None], second[None], *(each[None] for each in in_world))
+        turns = [rotation(each[2]) for each in both]
+        places = np.array([turn @ each for turn, each in zip(turns, own, strict=True)])
+        turned = np.array([turn @ each for turn, each in zip(turns, normals, strict=True)])
+        cloud = PointCloud(
+            np.arange(2), np.zeros(2), places + both[:, :2], turned, np.ones(2, dtype=bool)
+        )
+        return point_link(both, cloud, np.array([[0, 1]]), STD)
 
-    wanted = central_differences(lambda both: factor(both)[0][0], poses)
-    assert np.allclose(factor(poses)[1][0], wanted, atol=1e-7)
+    wanted = central_differences(lambda both: factor(both).errors[0, 0], poses)
+    assert np.allclose(factor(poses).jacobian[0, 0], wanted, atol=1e-6)
 
 
-def test_line_jacobian():
+def test_wall_jacobian():
     pose = RNG.normal(0.0, 2.0, 3)
     place = RNG.normal(0.0, 2.0, 2)
     centre = RNG.normal(0.0, 2.0, 2)
@@ -219,48 +227,50 @@ def test_line_jacobian():
         x, y, heading, turn, offset = unknowns
         moved = centre + offset * np.array([np.cos(angle), np.sin(angle)])
         seen = rotation(heading) @ place + [x, y]
-        return line_factor(
-            np.array([[x, y, heading]]), seen[None], np.array([angle + turn]), moved[None]
-        )
+        first = np.zeros(1, dtype=int)
+        cloud = PointCloud(first, first, seen[None], np.zeros((1, 2)), first)
+        walls = WallLines(np.array([angle + turn]), moved[None], first, first)
+        return point_on_wall(np.array([[x, y, heading]]), cloud, walls, STD)
 
     unknowns = np.append(pose, [0.0, 0.0])
-    wanted = central_differences(lambda each: factor(each)[0][0], unknowns)
-    assert np.allclose(factor(unknowns)[1][0], wanted, atol=1e-7)
+    wanted = central_differences(lambda each: factor(each).errors[0, 0], unknowns)
+    assert np.allclose(factor(unknowns).jacobian[0, 0], wanted, atol=1e-6)
 
 
 def test_robust_factors_are_summed_with_their_weights():
-    columns = np.array([[0, 1, 3], [0, 1, 4], [0, 1, 3], [2, 1, 4]])
-    jacobian = RNG.normal(size=(4, 3))
-    errors = np.array([0.1, -0.4, 0.02, 3.0])
-    equations = NormalEquations(5)
-    add_robust(equations, columns, jacobian, errors, 0.2, 2.0)
-    wanted = np.zeros(5)
-    for row, each, error in zip(columns, jacobian, errors, strict=True):
-        wanted[row] += each * error / ((1.0 + (error / 0.4) ** 2) * 0.2) ** 2
-    assert np.allclose(equations.gradient, wanted)
+    ends = np.array([[0, 1], [0, 2], [0, 1], [1, 2]])
+    keys = (("poses", ends[:, 0]), ("lines", ends[:, 1]))
+    jacobian = RNG.normal(size=(4, 1, 5))
+    errors = np.array([[0.5], [-2.0], [0.1], [15.0]])
+    graph = Graph(Nodes(poses=(2, 3), lines=(3, 2)))
+    weights = graph.add_robust(Factors(keys, errors, jacobian), geman_mcclure(2.0))
+    assert np.allclose(weights, (1.0 + (errors[:, 0] / 2.0) ** 2) ** -2)
+    plain = Graph(graph.nodes)
+    plain.add(Factors(keys, errors, jacobian, weights[:, None, None]))
+    assert np.allclose(graph.gradient, plain.gradient)
 
 
 def test_the_sparse_step_equals_a_dense_one():
-    equations = NormalEquations(9)
-    first = np.array([0, 1, 0])
-    second = np.array([1, 2, 2])
+    ends = np.array([[0, 1], [1, 2], [0, 2]])
     poses = RNG.normal(0.0, 1.0, (3, 3))
-    error, jacobian = relation_factor(poses, first, second, RNG.normal(0.0, 1.0, (3, 3)))
     information = np.tile(np.diag([4.0, 5.0, 6.0]), (3, 1, 1))
-    columns = np.hstack((pose_columns(first), pose_columns(second)))
-    equations.add(columns, jacobian, error, information)
+    factors = relation(poses, ends, RNG.normal(0.0, 1.0, (3, 3)), information)
+    graph = Graph(Nodes(poses=(3, 3)))
+    graph.add(factors)
+    columns = graph.nodes.columns_of(factors.keys)
     dense = np.zeros((9, 9))
     for row in range(3):
         wide = np.zeros((3, 9))
-        wide[:, columns[row]] = jacobian[row]
+        wide[:, columns[row]] = factors.jacobian[row]
         dense += wide.T @ information[row] @ wide
     step = np.zeros(9)
-    step[3:] = -np.linalg.solve(dense[3:, 3:], equations.gradient[3:])
-    assert np.allclose(equations.solve(), step)
+    step[3:] = -np.linalg.solve(dense[3:, 3:], graph.gradient[3:])
+    assert np.allclose(graph.solve(), step)
     covariance = np.zeros((9, 9))
     covariance[3:, 3:] = np.linalg.inv(dense[3:, 3:])
-    wanted = jacobian[1] @ covariance[np.ix_(columns[1], columns[1])] @ jacobian[1].T
-    assert np.allclose(equations.covariances(columns, jacobian)[1], wanted)
+    by = factors.jacobian[1]
+    wanted = by @ covariance[np.ix_(columns[1], columns[1])] @ by.T
+    assert np.allclose(graph.covariances(factors)[1], wanted)
 
 
 CONFIG = GraphConfig()
@@ -537,11 +547,13 @@ def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     for newest in range(1, len(truth)):
         graph.add(blank[newest], hops.motions[newest - 1 : newest], hops.covariances[newest - 1])
         graph.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
-    every = pose_columns(np.arange(len(truth))).reshape(1, -1)
-    covariance = graph.covariances(every, np.eye(every.size)[None])[0]
+    size = 3 * len(truth)
+    keys = tuple(("poses", np.array([number])) for number in range(len(truth)))
+    every = Factors(keys, np.zeros((1, size)), np.eye(size)[None])
+    covariance = graph.covariances(every)[0]
     last = covariance[-3:, -3:]
     assert np.allclose(graph.last_covariance, last, atol=1e-12)
-    positions = np.delete(np.arange(every.size), np.s_[2::3])
+    positions = np.delete(np.arange(size), np.s_[2::3])
     aligned = aligned_covariance(covariance[np.ix_(positions, positions)], graph.poses[:, :2])
     assert graph.position_std == pytest.approx(np.sqrt(np.trace(aligned[-2:, -2:])))
     assert np.allclose(covariance, covariance.T, atol=1e-9)

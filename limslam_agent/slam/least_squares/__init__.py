@@ -1,3 +1,0 @@
-"""Least squares: the sparse normal equations of a graph, their solution, and covariances of its
-unknowns.
-"""

@@ -1,0 +1,93 @@
+"""The factors of the graph of local maps, with their derivatives.
+
+The nodes are the key poses, the constant errors of odometry, and the walls, each with two unknowns:
+a turn about its centre, and an offset.
+"""
+
+import numpy as np
+
+from limslam_agent.slam.graph.factors import dynamic_covariance_scaling, relation
+from limslam_agent.slam.graph.graph import Factors, Keys, RobustKernel
+from limslam_agent.slam.map_graph.key_poses import (
+    ERRORS,
+    KeyPoses,
+    Trajectory,
+    calibrated_rates,
+    calibrated_steps,
+)
+from limslam_agent.slam.map_graph.point_links import PointCloud
+from limslam_agent.slam.map_graph.wall_lines import WallLines
+from limslam_env.geometry import FloatArray, IntArray
+
+_LOOP_KERNEL = 3.0  # scale of dynamic covariance scaling, as a chi-square
+
+
+def loop_kernel(widening: float = 1.0) -> RobustKernel:
+    """The kernel of loops, which is wider by a factor."""
+    return dynamic_covariance_scaling(_LOOP_KERNEL * widening)
+
+
+def odometry(keys: KeyPoses, trajectory: Trajectory) -> Factors:
+    """The motions by odometry between key poses, which depend on its constant errors."""
+    first = np.arange(len(keys) - 1)
+    steps = calibrated_steps(keys, trajectory.bias)
+    by_poses = relation(trajectory.poses, np.column_stack((first, first + 1)), steps)
+    by_bias = np.zeros((len(first), 3, ERRORS))
+    # The derivative of the calibrated step by the heading bias: half the missing heading rotates
+    # the step.
+    by_bias[:, 0, 0] = 0.5 * keys.step_forward * steps[:, 1]
+    by_bias[:, 1, 0] = -0.5 * keys.step_forward * steps[:, 0]
+    by_bias[:, 2, 0] = -keys.step_forward
+    by_bias[:, :2, 1] = -steps[:, :2] / (1.0 + trajectory.bias[1])
+    by_bias[:, 2, 2] = -keys.step[:, 2] - trajectory.bias[3] * keys.step_rate[:, 2]
+    by_bias[:, :, 3] = -calibrated_rates(keys, trajectory.bias)
+    by_bias[:, 0, 4] = steps[:, 1]
+    by_bias[:, 1, 4] = -steps[:, 0]
+    return Factors(
+        (*by_poses.keys, ("errors", np.zeros_like(first))),
+        by_poses.errors,
+        np.concatenate((by_poses.jacobian, by_bias), axis=2),
+        (1.0 / keys.step_variances)[:, :, None] * np.eye(3),
+    )
+
+
+def point_link(poses: FloatArray, cloud: PointCloud, links: IntArray, std: float) -> Factors:
+    """Distances of points from the lines through other points, for links (f, 2) between the points
+    of a cloud.
+
+    ``std`` (m) is the standard deviation of each distance.
+    """
+    key, other = cloud.key[links].T
+    points, others = cloud.places[links.T]
+    normals = cloud.normals[links[:, 1]]
+    apart = points - others
+    lever = others - poses[other, :2]
+    # A rotation of the second pose moves the point of the line and rotates its normal.
+    turned = _cross(normals, apart) - _cross(lever, normals)
+    jacobian = np.column_stack(
+        (normals, _cross(points - poses[key, :2], normals), -normals, turned)
+    )
+    keys: Keys = (("poses", key), ("poses", other))
+    return _in_stds(keys, np.sum(normals * apart, axis=1), jacobian, std)
+
+
+def point_on_wall(poses: FloatArray, cloud: PointCloud, walls: WallLines, std: float) -> Factors:
+    """Distances of points from their walls. ``std`` (m) is the standard deviation of each."""
+    places = cloud.places[walls.points]
+    key = cloud.key[walls.points]
+    angles = walls.angles[walls.lines]
+    normals = np.column_stack((np.cos(angles), np.sin(angles)))
+    off = places - walls.centres[walls.lines]
+    by_pose = np.column_stack((normals, _cross(places - poses[key, :2], normals)))
+    jacobian = np.column_stack((by_pose, _cross(normals, off), -np.ones(len(off))))
+    keys: Keys = (("poses", key), ("walls", walls.lines))
+    return _in_stds(keys, np.sum(normals * off, axis=1), jacobian, std)
+
+
+def _in_stds(keys: Keys, errors: FloatArray, jacobian: FloatArray, std: float) -> Factors:
+    return Factors(keys, errors[:, None] / std, jacobian[:, None] / std)
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Cross products (k,) of vectors (k, 2)."""
+    return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
