@@ -35,6 +35,8 @@ from limslam_agent.runs.run_spec import (
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from limslam_env.worlds.world import World
+
 _LOG = "Log"
 _TABLE = "Tables (.csv)"
 _ODOMETRY = "Odometry"
@@ -95,22 +97,6 @@ Sharp = Annotated[
         "--sharp",
     ),
 ]
-MetresPerPixel = Annotated[
-    float | None,
-    Help(WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
-]
-MetresPerUnit = Annotated[
-    float | None,
-    Help(WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
-]
-Layers = Annotated[
-    str | None,
-    Help(
-        WORLD,
-        "Layers of a plan in SVG or DXF that are walls: A,B,...",
-        "those called walls or windows, or all",
-    ),
-]
 Log = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -139,12 +125,43 @@ RosArguments = Annotated[
 
 
 @dataclass(frozen=True)
-class RunOptions(RunSpec):
+class PlanOptions(Bounded):
+    """How a world's file is read that is a plan."""
+
+    metres_per_pixel: Annotated[
+        float | None,
+        Help(WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
+    ] = None
+    metres_per_unit: Annotated[
+        float | None,
+        Help(WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
+    ] = None
+    layers: Annotated[
+        str | None,
+        Help(
+            WORLD,
+            "Layers of a plan in SVG or DXF that are walls: A,B,...",
+            "those called walls or windows, or all",
+        ),
+    ] = None
+
+    def load(self, world: str) -> "World":
+        """The world of that name or file."""
+        from limslam_env.worlds.formats.loading import load_world
+
+        names = None if self.layers is None else [each.strip() for each in self.layers.split(",")]
+        return load_world(
+            world,
+            metres_per_pixel=self.metres_per_pixel,
+            metres_per_unit=self.metres_per_unit,
+            layers=names,
+        )
+
+
+@dataclass(frozen=True)
+class RunOptions(PlanOptions, RunSpec):
     """The options of ``limslam run``: what is run, how a plan is read, and where results go."""
 
-    metres_per_pixel: MetresPerPixel = None
-    metres_per_unit: MetresPerUnit = None
-    layers: Layers = None
     video: Annotated[
         Path | None, Help(RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")
     ] = None
@@ -323,9 +340,9 @@ Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
 T = TypeVar("T", bound="DataclassInstance")
 
 
-def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Make a function a command that has the options of a dataclass, if one is given, and then
-    those of its own named arguments.
+def takes(kind: type[Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Make a function a command that has the options of a dataclass, and then those of its own
+    named arguments.
 
     The function gets the options of the dataclass as keyword arguments, None for those that were
     not given.
@@ -344,7 +361,7 @@ def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., Any]], Calla
         def command(**arguments: Any) -> Any:
             return function(**arguments)
 
-        parameters = own if kind is None else [*_declared(kind), *own]
+        parameters = [*_declared(kind), *own]
         command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what typer looks at
         command.__annotations__ = {each.name: each.annotation for each in parameters}
         return command

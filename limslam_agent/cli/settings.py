@@ -226,16 +226,10 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     from limslam_agent.runs.policies import check_policy
     from limslam_agent.runs.run_config import RunConfig
     from limslam_env.config import NoiseConfig
-    from limslam_env.worlds.formats.loading import load_world
 
     spec = options.spec
     with given.naming("world"):
-        world = load_world(
-            options.world,
-            metres_per_pixel=options.metres_per_pixel,
-            metres_per_unit=options.metres_per_unit,
-            layers=layer_names(options.layers),
-        )
+        world = options.load(options.world)
     agent = exploring_agent(given, options)
     with given.naming("ablation"):
         _ = options.ablation and ablated(agent, options.ablation)
@@ -251,11 +245,6 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     return RunConfig(
         **spec | {"world": world}, true_noise=true_noise, robot=given.robot(), settings=agent
     )
-
-
-def layer_names(text: str | None) -> list[str] | None:
-    """The names in the option ``--layers``; None where it is not given."""
-    return None if text is None else [name.strip() for name in text.split(",")]
 
 
 def write_run_settings(folder: Path, config: "RunConfig", world: str) -> None:
