@@ -217,7 +217,7 @@ def campus_log(seed: int) -> MadeUpLog:
     path = poses_along(np.array([*route[0], 0.0]), route[1:], ROBOT, Speeds(_SPEED, 1.0))
     step = generator.uniform(*_SPACING) / (_SPEED * ROBOT.control_period)
     rows = np.arange(0.0, len(path) - 1.0, step)
-    truth = between(rows, np.arange(len(path)), path)
+    truth = between(rows, np.arange(float(len(path))), path)
     time = ROBOT.control_period * rows
     kind = str(generator.choice(list(ODOMETRY)))
     odometry = drifting_odometry(truth, ODOMETRY[kind], generator)

@@ -272,7 +272,7 @@ def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True
     period = ROBOT.control_period
     delay = generator.uniform(0.0, 0.15)
     time = np.arange(0.0, period * (len(path) - 1) - delay, generator.uniform(0.15, 0.4))
-    times = period * np.arange(len(path))
+    times = period * np.arange(float(len(path)))
     truth = between(time, times, path)
     later = between(time + delay, times, path)
     errors = str(generator.choice(list(ODOMETRY)))
