@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -197,15 +197,11 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
     plan = job.plan
     last = dict[str, LimSlamParallelEnv]()
     is_named = not entry.manifest.is_process
+    asked = replace(
+        plan, preset=entry.manifest.preset, policy=entry.run if is_named else "frontier"
+    )
     config = RunConfig(
-        plan.world,
-        plan.noise,
-        entry.manifest.preset,
-        plan.seed,
-        plan.max_time,
-        until="seen",
-        robots=plan.robots,
-        policy=entry.run if is_named else "frontier",
+        **asked.spec,
         true_noise=plan.true_noise,
         driver="" if is_named else f"command {entry.manifest.name}",
     )
