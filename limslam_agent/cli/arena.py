@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import takes, with_told
+from limslam_agent.cli.options import Overwrite, takes, with_told
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.help import Help
 from limslam_agent.terminal import print_table, progress_bar, say, warn
@@ -184,7 +184,7 @@ def page(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of results.")],
     out: Annotated[Path, typer.Option(help="Write this file (.html).")],
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Overwrite = False,
 ) -> None:
     """Write the leaderboard as one page: open it in any browser."""
     from limslam_agent.arena.leaderboard import board

@@ -56,6 +56,9 @@ _Watch = Annotated[
 _Out = Annotated[Path | None, Help(RESULTS, "Folder for the results.", "runs/...")]
 _Force = Annotated[bool, Help(RESULTS, "Replace the results of an earlier run in that folder.")]
 
+Overwrite = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+"""Of commands that write one file."""
+
 Config = Annotated[
     Path | None,
     Help(

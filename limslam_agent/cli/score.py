@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import takes
+from limslam_agent.cli.options import Overwrite, takes
 from limslam_agent.config.help import Help
 from limslam_agent.terminal import say, warn
 
@@ -94,7 +94,7 @@ def score(
         Path | None, typer.Option(help="Also write the metrics into this file (.json).")
     ] = None,
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Overwrite = False,
     **told: Any,
 ) -> None:
     """Score the trajectory and the map of any SLAM system by the metrics of this project."""

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import PlanOptions, takes, with_told
+from limslam_agent.cli.options import Overwrite, PlanOptions, takes, with_told
 from limslam_agent.terminal import print_table, say, warn
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def convert(
         Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")
     ],
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Overwrite = False,
     **told: Any,
 ) -> None:
     """Write a world in another format."""

@@ -241,19 +241,3 @@ def results(tmp_path):
 def test_the_command_tabulates(results):
     shown = benchmarks("table", results)
     assert (shown.returncode, shown.stdout) == (0, tables.table(read_rows(results)))
-
-
-JOBS = tuple(Job("env1", 0.02, seed=seed) for seed in range(2))
-
-
-class Here:
-    """Jobs are done in this process."""
-
-    def run(self, jobs, work):
-        yield from ((job, work(job)) for job in jobs)
-
-
-@pytest.fixture
-def folder(tmp_path):
-    run_suite(Suite("tiny", JOBS, "d1"), tmp_path / "out", Here(), work=benchmark_work.outcome)
-    return tmp_path / "out"
