@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from support.command_line import limslam
 from support.markdown import ROOT, blocks, commands
+from support.runs import result_of
 
 from limslam_agent import preset, read_log, replay_log
 from limslam_env import NominalNoise
@@ -84,7 +85,7 @@ def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path
     )
     finished = limslam(*command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
     assert (finished.returncode, finished.stderr) == (0, "")
-    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    result = result_of(tmp_path / "out")
     assert result["config"]["robot"]["axle"] == 0.115
     assert result["record"]["driven_m"] == pytest.approx(5.7, abs=0.1)
     # An apartment of two parts with a triangular pillar and a door.
@@ -127,7 +128,7 @@ def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
         [sys.executable, str(example), str(folder)], capture_output=True, text=True, check=True
     )
     found = {words[0]: float(words[1]) for words in map(str.split, result.stdout.splitlines())}
-    known = json.loads((folder / "result.json").read_text())["metrics"]
+    known = result_of(folder)["metrics"]
     # The example is dead reckoning, and so its errors are those of odometry alone.
     assert found["ate_m"] == pytest.approx(known["odometry_ate_m"], abs=1e-3)
     assert found["heading_rmse_deg"] == pytest.approx(known["odometry_heading_rmse_deg"], abs=1e-3)
