@@ -8,12 +8,15 @@ import socket
 import sys
 import time
 from contextlib import nullcontext, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated
+from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from limslam_agent.cli.options import takes, with_told
+from limslam_agent.config.bounds import Bounded, Bounds
+from limslam_agent.config.help import Help
 from limslam_agent.live.transports import LineBuffer, datagrams
 from limslam_agent.terminal import run_command
 
@@ -22,74 +25,81 @@ if TYPE_CHECKING:
 
 
 _MOST_BYTES = 65536
+_LAST_PORT = 65535
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 
-@app.command()
-def emulate(
-    udp: Annotated[
-        int | None,
-        typer.Option(
-            min=1, max=65535, help="Send to this UDP port of the host.", show_default=False
-        ),
-    ] = None,
-    host: Annotated[str, typer.Option(help="Address of the host.")] = "127.0.0.1",
-    *,
-    pty: Annotated[
-        bool, typer.Option("--pty", help="Make a serial port, and print its name.")
-    ] = False,
-    ros2: Annotated[
-        bool, typer.Option("--ros2", help="Publish odom and a topic beam_N for each beam.")
-    ] = False,
-    world: Annotated[
-        str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")
-    ] = "env1",
-    robot: Annotated[
-        str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")
-    ] = "paper",
-    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
-    seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
-    watchdog: Annotated[
-        int, typer.Option(help="Time without a line after which the wheels stop, ms.")
-    ] = 500,
+@dataclass(frozen=True)
+class Options(Bounded):
+    """The options of the emulator."""
+
+    udp: Annotated[int | None, Help(None, "Send to this UDP port of the host.")] = None
+    host: Annotated[str, Help(None, "Address of the host.")] = "127.0.0.1"
+    pty: Annotated[bool, Help(None, "Make a serial port, and print its name.")] = False
+    ros2: Annotated[bool, Help(None, "Publish odom and a topic beam_N for each beam.")] = False
+    world: Annotated[str, Help(None, "Name of a shipped world, random:SEED, or a world file.")] = (
+        "env1"
+    )
+    robot: Annotated[str, Help(None, "Robot that ships with LimSLAM, or a TOML file.")] = "paper"
+    noise: Annotated[float, Help(None, "Standard deviation of the ranges, m.")] = 0.02
+    seed: Annotated[int, Help(None, "Random seed.")] = 0
+    watchdog: Annotated[int, Help(None, "Time without a line after which the wheels stop, ms.")] = (
+        500
+    )
     speed: Annotated[
-        float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")
-    ] = 1.0,
-    imu: Annotated[bool, typer.Option("--imu", help="Measure the heading, too.")] = False,
+        float,
+        Bounds(0.0, 1000.0),
+        Help(None, "How much faster than real time. 0: as fast as the host answers."),
+    ] = 1.0
+    imu: Annotated[bool, Help(None, "Measure the heading, too.")] = False
     token: Annotated[
-        str | None,
-        typer.Option(help="Say this word in each hello, for a host with --token."),
-    ] = None,
+        str | None, Help(None, "Say this word in each hello, for a host with --token.")
+    ] = None
     truth: Annotated[
-        Path | None,
-        typer.Option(help="File for the true poses, lines of t x y heading.", show_default=False),
-    ] = None,
-) -> None:
+        Path | None, Help(None, "File for the true poses, lines of t x y heading.")
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.udp is not None and not 1 <= self.udp <= _LAST_PORT:
+            raise ValueError(f"udp must be a port from 1 to {_LAST_PORT}, not {self.udp}")
+
+
+@app.command()
+@takes(Options)
+def emulate(**told: Any) -> None:
     """Emulate a robot until the process is ended."""
     from limslam_agent.live.emulator.emulator import Body, Emulator
     from limslam_agent.robot_file import robot_named
     from limslam_env.config import NoiseConfig
     from limslam_env.worlds.formats.loading import load_world
 
-    if not 0.0 <= speed <= 1000.0:
-        raise ValueError(f"--speed must be a number from 0 to 1000, not {speed:g}")
-    errors = replace(NoiseConfig(), sensor_noise=noise)
-    name = Path(robot).stem.replace("_", "-")
-    body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed, imu, token)
-    pace = body.robot.control_period / speed if speed else 0.0
-    if (udp is not None) + pty + ros2 != 1:
+    options = with_told(Options(), told)
+    body = Body(
+        load_world(options.world),
+        robot_named(options.robot),
+        replace(NoiseConfig(), sensor_noise=options.noise),
+        Path(options.robot).stem.replace("_", "-"),
+        options.watchdog,
+        options.seed,
+        options.imu,
+        options.token,
+    )
+    pace = body.robot.control_period / options.speed if options.speed else 0.0
+    if (options.udp is not None) + options.pty + options.ros2 != 1:
         raise ValueError("either --udp PORT, --pty or --ros2 is needed")
-    if ros2 and imu:
+    if options.ros2 and options.imu:
         raise ValueError("--imu goes with --udp and --pty: the topics of --ros2 have no heading")
+    truth = options.truth
     with nullcontext() if truth is None else truth.open("w", encoding="utf-8", buffering=1) as file:
-        if ros2:
+        if options.ros2:
             from limslam_agent.live.emulator.ros2 import RosRobot, serve
 
             serve(RosRobot(body), pace, file)
             return
         emulator = Emulator(body)
-        port = PtyPort() if udp is None else UdpPort(host, udp)
+        port = PtyPort() if options.udp is None else UdpPort(options.host, options.udp)
         sys.stdout.write(f"{port.name}\n")
         sys.stdout.flush()
         run(emulator, port, pace, file)
