@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from limslam_agent.cli.options import takes, with_told
+from limslam_agent.command_options import takes, with_told
 from limslam_agent.config.help import Help
 from limslam_agent.endings import end_cleanly
 from limslam_agent.terminal import run_command

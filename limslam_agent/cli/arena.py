@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import Overwrite, takes, with_told
+from limslam_agent.cli.options import Overwrite
+from limslam_agent.command_options import takes, with_told
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.help import Help
 from limslam_agent.terminal import print_table, progress_bar, say, warn

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import Overwrite, takes
+from limslam_agent.cli.options import Overwrite
+from limslam_agent.command_options import takes
 from limslam_agent.config.help import Help
 from limslam_agent.terminal import say, warn
 

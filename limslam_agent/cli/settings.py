@@ -10,7 +10,8 @@ from pathlib import Path
 from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
-from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions, with_told
+from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions
+from limslam_agent.command_options import with_told
 from limslam_agent.config.tables import (
     SettingsError,
     Table,

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import Overwrite, PlanOptions, takes, with_told
+from limslam_agent.cli.options import Overwrite, PlanOptions
+from limslam_agent.command_options import takes, with_told
 from limslam_agent.terminal import print_table, say, warn
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import takes, with_told
+from limslam_agent.command_options import takes, with_told
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.help import Help
 from limslam_agent.live.transports import LineBuffer, datagrams
