@@ -35,6 +35,7 @@ ENV = {
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
+    "limslam_env.canvas": {GEOMETRY},
     "limslam_env.toml_text": set(),
     "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
@@ -62,7 +63,7 @@ ENV = {
             "simulation",
         ),
     },
-    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "simulation")},
+    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("canvas", "worlds", "simulation")},
     "limslam_env.envs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env(
@@ -159,6 +160,7 @@ AGENT = {
     "limslam_agent.measurements": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
     "limslam_agent.output": {
         *WHAT_AN_AGENT_MAY_KNOW,
+        *env("canvas"),
         *agent("slam.core", "grid", "map_file", "safe_files"),
     },
     "limslam_agent.output.formats": {
@@ -203,7 +205,11 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
-    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "slam.core")},
+    "limslam_agent.video": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("canvas"),
+        *agent("grid", "output", "slam.core"),
+    },
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(

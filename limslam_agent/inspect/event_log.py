@@ -102,12 +102,8 @@ class EventLog:
         is_lost = self._mapper.statuses[0].level == "lost"
         if slam is not self._slam:
             if self._slam is not None and not self._mapper.frame:
-                self._add(
-                    {
-                        "kind": "restart",
-                        "words": "all observations are processed again, with what is known now",
-                    }
-                )
+                words = "all observations are processed again, with what is known now"
+                self._add({"kind": "restart", "words": words})
             if not is_lost:
                 slam.on_association = self._on_association
                 slam.on_comparison = self._on_comparison
@@ -142,7 +138,8 @@ class EventLog:
         """Finish the event of a line that was compared but not associated."""
         if self._open is None or self._slam is None:
             return
-        (event, _, closures), self._open = self._open, None
+        event, _, closures = self._open
+        self._open = None
         merges = isinstance(self._mapper.config.estimator, ConsistentConfig)
         if len(self._slam.closures) > closures and not merges:
             event["why"] = (
@@ -176,12 +173,8 @@ class EventLog:
         mapper = self._mapper
         records = mapper.places.records
         for record in records[self._places :]:
-            words = (
-                f"{record['event']}: {record['reason']}"
-                if record.get("reason")
-                else str(record["event"])
-            )
-            self._add({"kind": "place", "words": words})
+            words = [str(record[name]) for name in ("event", "reason") if record.get(name)]
+            self._add({"kind": "place", "words": ": ".join(words)})
         if mapper.frame != self._frame and len(records) == self._places:
             self._add({"kind": "place", "words": "the map goes on in another frame"})
         self._places = len(records)
@@ -202,11 +195,15 @@ class EventLog:
                 self._add({"kind": "goal", "robot": number, "goal": rounded(goal, 2)})
 
 
-def _upper_triangle(covariance: FloatArray) -> list[float]:
-    """The six numbers of a covariance (3, 3): xx, xy, xt, yy, yt, tt. Small numbers keep their
-    digits.
+def _estimate(slam: Estimator, robot: int) -> dict[str, list[float]]:
+    """A robot's pose, and the six numbers of its covariance: xx, xy, xt, yy, yt, tt. Small numbers
+    keep their digits.
     """
-    return [float(f"{value:.4g}") for value in covariance[np.triu_indices(3)].tolist()]
+    triangle = slam.covariances[robot][np.triu_indices(3)].tolist()
+    return {
+        "pose": rounded(slam.poses[robot], 5),
+        "cov": [float(f"{value:.4g}") for value in triangle],
+    }
 
 
 def _extraction_event(extraction: Extraction, threshold: int, r_step: float) -> Event:
@@ -239,10 +236,7 @@ def _comparison_event(comparison: Comparison, slam: Estimator) -> Event:
         "ends": rounded(comparison.ends.ravel(), 3),
         "used": len(comparison.readings),
         "tests": [_row(test) for test in _nearest(comparison.tests)],
-        "before": {
-            "pose": rounded(slam.poses[robot], 5),
-            "cov": _upper_triangle(slam.covariances[robot]),
-        },
+        "before": _estimate(slam, robot),
     }
 
 
@@ -254,41 +248,25 @@ def _correct(event: Event, record: AssociationRecord, slam: Estimator) -> None:
     event |= {
         "kind": "new" if record.is_new else "again",
         "wall": record.landmark + 1,
-        "after": {
-            "pose": rounded(slam.poses[robot], 5),
-            "cov": _upper_triangle(slam.covariances[robot]),
-        },
+        "after": _estimate(slam, robot),
     }
 
 
 def _explain_waiting(event: Event, limits: dict[str, float]) -> None:
     """Say why a line was not used, from the distances of the walls that it was compared with."""
-    fits = sorted(
-        (test["d2"], test["wall"])
-        for test in event["tests"]
-        if test["out"] == "" and test["d2"] is not None
-    )
-    near = [
-        test
-        for test in event["tests"]
-        if test["d2"] is not None and test["d2"] <= limits.get("far_gate", 0.0)
-    ]
+    known = [test for test in event["tests"] if test["d2"] is not None]
+    fits = sorted((test["d2"], test["wall"]) for test in known if test["out"] == "")
+    near = [test["wall"] for test in known if test["d2"] <= limits.get("far_gate", 0.0)]
     if fits:
-        event["why"] = (
-            f"wall {fits[0][1]} fits, but its points are too few, not straight enough, or beyond "
-            "its ends"
-        )
+        why = f"wall {fits[0][1]} fits, but its points are too few, not straight enough, or beyond "
+        why += "its ends"
     elif near:
-        event["why"] = (
-            f"it is neither clearly wall {near[0]['wall']} nor clearly another wall: the points "
-            "wait"
-        )
+        why = f"it is neither clearly wall {near[0]} nor clearly another wall: the points wait"
     elif "far_gate" in limits:
-        event["why"] = (
-            "no wall fits, and for a new wall it is too short or too uncertain: the points wait"
-        )
+        why = "no wall fits, and for a new wall it is too short or too uncertain: the points wait"
     else:
-        event["why"] = "no wall fits, and for a new wall it is too short: the points are dropped"
+        why = "no wall fits, and for a new wall it is too short: the points are dropped"
+    event["why"] = why
 
 
 def _loop_event(closure: Closure) -> Event:

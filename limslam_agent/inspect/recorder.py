@@ -34,6 +34,25 @@ _FRONTIERS_EVERY = 20
 
 _MM = 1e3
 
+# A value of each frame, by the type of its column
+_COLUMNS = {
+    "pose": np.float32,
+    "cov": np.float32,
+    "odometry": np.float32,
+    "level": np.uint8,
+    "reason": np.uint16,
+    "ranges": np.uint16,
+    "landmarks": np.uint16,
+    "buffers": np.uint16,
+    "map_index": np.uint16,
+    "plan_index": np.uint16,
+    "frontier_index": np.int32,
+    "goal": np.float32,
+}
+
+_LEAST_DETERMINANT = 1e-30
+"""A covariance of a pose with a smaller determinant, m^4 rad^2, is that of a known start."""
+
 
 class Recorder:
     """Keeps the frames and the events of one run.
@@ -117,24 +136,12 @@ class Recorder:
         )
         self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
         rows = np.array(self.frame_rows)
-        columns = self._columns
+        columns = {
+            name: np.array(self._columns[name], dtype=kind) for name, kind in _COLUMNS.items()
+        }
         found: dict[str, NDArray[Any]] = {
             "time": np.array(self._time)[rows],
-            **{
-                name: np.array(columns[name], dtype=np.float32)
-                for name in ("pose", "cov", "odometry")
-            },
-            "level": np.array(columns["level"], dtype=np.uint8),
-            **{
-                name: np.array(columns[name], dtype=np.uint16)
-                for name in ("reason", "ranges", "landmarks", "buffers")
-            },
-            **{
-                f"{name}_index": np.array(columns[f"{name}_index"], dtype=np.uint16)
-                for name in ("map", "plan")
-            },
-            "frontier_index": np.array(columns["frontier_index"], dtype=np.int32),
-            "goal": np.array(columns["goal"], dtype=np.float32),
+            **columns,
             "pending": quantised(pending, self.quantum),
             "pending_starts": self._pending.starts(),
             "plans": quantised(plans, self.quantum),
@@ -153,8 +160,9 @@ class Recorder:
             **self._owners(rows),
         }
         if self._true:
-            found["true"] = np.array(self._true, dtype=np.float32)
-            found["nees"] = self._nees(np.array(self._true))
+            true = np.array(self._true)
+            found["true"] = true.astype(np.float32)
+            found["nees"] = self._nees(true)
         return found
 
     def meta(self) -> dict[str, Any]:
@@ -247,22 +255,16 @@ class Recorder:
         """
         found = {(each.robot, each.side): each for each in slam.pending_points}
         nothing = PendingPoints(0, "none", no_rows(2), 0, 0)
-        buffers = [
-            found.get((robot, side), nothing)
-            for robot in range(len(self._mapper.poses))
-            for side in SIDES
-        ]
+        robots = range(len(self._mapper.poses))
+        buffers = [found.get((robot, side), nothing) for robot in robots for side in SIDES]
+        sizes = [(len(each.points), each.new, each.enough) for each in buffers]
         self._columns["buffers"].append(
-            [
-                (len(each.points), len(each.points) if each.new is None else each.new, each.enough)
-                for each in buffers
-            ]
+            [(count, count if new is None else new, enough) for count, new, enough in sizes]
         )
         self._pending.add(np.concatenate([each.points.reshape(-1, 2) for each in buffers]))
 
     def _keep_map(self, slam: Estimator) -> None:
         """Keep walls and landmarks where they have changed since the last frame."""
-        every = slam.all_landmarks
         walls = slam.segments
         owners = np.full(len(walls), -1.0)
         for mark in slam.landmarks:
@@ -275,10 +277,9 @@ class Recorder:
                     mark.theta,
                     *mark.covariance[np.triu_indices(2)],
                     mark.observations,
-                    *ends,
+                    *mark.ends.ravel(),
                 )
-                for mark in every
-                for ends in [mark.ends.ravel()]
+                for mark in slam.all_landmarks
             ]
         ).reshape(-1, 11)
         content = marks.tobytes() + walls.tobytes()
@@ -303,7 +304,8 @@ class Recorder:
         has_moved = not np.array_equal(goals, self._last_goals, equal_nan=True)
         if not has_moved and self._row - self._frontiers_at < _FRONTIERS_EVERY:
             return
-        self._last_goals, self._frontiers_at = goals, self._row
+        self._last_goals = goals
+        self._frontiers_at = self._row
         mapper = self._mapper
         found = []
         shown = slice(1) if mapper.is_apart else slice(None)
@@ -327,7 +329,9 @@ class Recorder:
         for row, record in self.log.associations:
             steps, beams = record.readings.T
             steps = noted[np.minimum(steps, len(noted) - 1)]
-            steps, beams = steps[steps >= 0], beams[steps >= 0]
+            is_noted = steps >= 0
+            steps = steps[is_noted]
+            beams = beams[is_noted]
             wall[steps, record.robot, beams] = record.landmark + 1
             given[steps, record.robot, beams] = row
         return {"owner": wall[rows][..., self._beams], "given": given[rows][..., self._beams]}
@@ -339,8 +343,8 @@ class Recorder:
         error = self.poses() - true
         error[..., 2] = wrap_angle(error[..., 2])
         covariances = np.zeros((*error.shape, 3))
-        covariances[..., *np.triu_indices(3)] = np.array(self._columns["cov"])
-        covariances[..., *np.triu_indices(3)[::-1]] = np.array(self._columns["cov"])
+        rows, columns = np.triu_indices(3)
+        covariances[..., rows, columns] = covariances[..., columns, rows] = self._columns["cov"]
         found = np.full(error.shape[:2], np.nan)
         is_known = np.linalg.det(covariances) > _LEAST_DETERMINANT
         solved = np.linalg.solve(covariances[is_known], error[is_known][..., None])[..., 0]
@@ -355,7 +359,3 @@ def _goals_of(policies: Sequence[Policy] | None, robots: int) -> FloatArray:
         [(np.nan, np.nan) if goal is None else goal for goal in goals or [None] * robots],
         dtype=float,
     )
-
-
-_LEAST_DETERMINANT = 1e-30
-"""A covariance of a pose with a smaller determinant, m^4 rad^2, is that of a known start."""

@@ -2,7 +2,7 @@
 
 import textwrap
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +13,8 @@ from matplotlib.lines import Line2D
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.map_picture import MapPicture
-from limslam_agent.output.style import hexadecimal, robot_colour
+from limslam_agent.output.style import hexadecimal
+from limslam_env.canvas import robot_colour
 from limslam_env.geometry import FloatArray
 
 TRUTH = "0.72"
@@ -54,10 +55,19 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     paint_map(axes, picture)
     # A title of the axes may be cut off: their equal scales move it after the layout.
     figure.suptitle("\n".join((picture.title, *remark)), fontsize=11, parse_math=False)
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9
-    )
+    add_legend(figure, handles, columns)
     figure.savefig(path, dpi=160, facecolor="white")
+
+
+def add_legend(
+    figure: Figure,
+    handles: list[Line2D],
+    columns: int,
+    place: Literal["outside lower center", "outside lower left"] = "outside lower center",
+    size: float = 9.0,
+) -> None:
+    """Write the entries of a legend below a figure."""
+    figure.legend(handles=handles, loc=place, ncols=columns, frameon=False, fontsize=size)
 
 
 def _columns(labels: list[str], width: float) -> int:

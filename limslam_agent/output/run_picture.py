@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.typing import LineStyleType
 
-from limslam_agent.output.drawing import finish_errors, legend, paint_map, path_colours
+from limslam_agent.output.drawing import add_legend, finish_errors, legend, paint_map, path_colours
 from limslam_agent.output.finished_run import FinishedRun
 from limslam_agent.output.map_picture import MapPicture
 from limslam_env.geometry import FloatArray
@@ -104,13 +104,7 @@ def draw_run(
     paint_map(figure.add_subplot(grid[:, 0]), picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
-    figure.legend(
-        handles=handles,
-        loc="outside lower left",
-        ncols=min(len(handles), 5),
-        frameon=False,
-        fontsize=8.5,
-    )
+    add_legend(figure, handles, min(len(handles), 5), "outside lower left", 8.5)
     upper = figure.add_subplot(grid[0, 1])
     lower = figure.add_subplot(grid[1, 1], sharex=upper)
     colours = [estimated for estimated, _ in path_colours(len(run.estimated))]
@@ -203,13 +197,7 @@ def draw_comparison(
         # Above the plot, where it hides no curve.
         left.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
     handles = legend(max(pictures, key=lambda picture: len(legend(picture))))
-    figure.legend(
-        handles=handles,
-        loc="outside lower center",
-        ncols=min(len(handles), 4),
-        frameon=False,
-        fontsize=9,
-    )
+    add_legend(figure, handles, min(len(handles), 4))
     figure.suptitle(common_title(runs), fontsize=12, parse_math=False)
 
 

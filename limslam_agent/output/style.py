@@ -3,49 +3,44 @@
 import functools
 import math
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal
 
+import cv2
 import matplotlib as mpl
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as Pictures
 from PIL import ImageDraw, ImageFont
 
-Image: TypeAlias = NDArray[np.uint8]
-Colour: TypeAlias = tuple[int, int, int]
+from limslam_env.canvas import (
+    BEAM,
+    BELIEF,
+    FRONTIER,
+    PAPER,
+    ROBOTS,
+    RULE,
+    SEEN,
+    TEXT,
+    UNSEEN,
+    Colour,
+    Image,
+)
+
 Anchor = Literal["left", "centre", "right"]
 
-# These are the colours of the simulator's pictures, so that both halves of a video look alike.
-PAPER = (250, 250, 249)
-UNKNOWN = (222, 227, 233)
-FREE = (252, 248, 238)
 OCCUPIED = (167, 174, 186)
-WALL = (205, 48, 66)
-FRONTIER = (20, 150, 140)
 GLOW = (240, 170, 30)
 INK = (36, 43, 55)
-TEXT = (86, 94, 108)
 FAINT = (150, 157, 168)
-RULE = (208, 213, 220)
 LEFT = (222, 126, 20)
 RIGHT = (150, 62, 168)
-BEAM = (226, 138, 40)
 PEAKS = ((36, 178, 205), (240, 170, 30), (238, 96, 142), (120, 200, 90), (190, 150, 250))
-ROBOTS = (
-    (38, 103, 178),
-    (40, 140, 92),
-    (132, 84, 170),
-    (176, 88, 60),
-    (20, 128, 142),
-    (168, 62, 110),
-)
 HEAT = ((245, 246, 248), (188, 205, 226), (92, 128, 178), (52, 60, 120), (38, 20, 62))
 PALETTE = (
     PAPER,
-    UNKNOWN,
-    FREE,
+    UNSEEN,
+    SEEN,
     OCCUPIED,
-    WALL,
+    BELIEF,
     FRONTIER,
     GLOW,
     INK,
@@ -62,20 +57,9 @@ PALETTE = (
 """All colours, for formats with a limited number of colours."""
 
 
-def robot_colour(number: int) -> Colour:
-    """Colour of a robot. The colours repeat if there are more robots than colours."""
-    return ROBOTS[number % len(ROBOTS)]
-
-
 def side_colour(side: str) -> Colour:
     """Colour of a scan buffer, ``"left"`` or ``"right"``."""
     return LEFT if side == "left" else RIGHT
-
-
-def mixed(first: Colour, second: Colour, share: float) -> Colour:
-    """A mixture of two colours. ``share`` is the share of the second colour."""
-    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, second, strict=True))
-    return red, green, blue
 
 
 def hexadecimal(colour: Colour) -> str:
@@ -117,6 +101,20 @@ def write(
         rows.start - top : rows.stop - top, columns.start - left : columns.stop - left, None
     ]
     image[rows, columns] = blended(image[rows, columns], colour, cover)
+
+
+def disc(
+    image: Image, centre: tuple[int, int], radius: int, colour: Colour, width: int = -1
+) -> None:
+    """Draw a disc, or a ring of a width. All sizes are in pixels."""
+    cv2.circle(image, centre, radius, colour, width, cv2.LINE_AA)
+
+
+def box(
+    image: Image, low: tuple[int, int], high: tuple[int, int], colour: Colour, width: int = -1
+) -> None:
+    """Fill a box between two corners, or draw its frame of a width. All sizes are in pixels."""
+    cv2.rectangle(image, low, high, colour, width)
 
 
 def blended(pixels: Image, colour: Colour, cover: Image) -> Image:

@@ -30,14 +30,10 @@ _SENSOR = {
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
     "wall_curvature_per_m": ("walls curve by {:.0f} deg a metre", math.degrees(1.0)),
 }
-_SIZES = {
+_ODOMETRY = {
     "left": ("left wheel {:+.2f} +- {:.2f} %", 100.0),
     "right": ("right wheel {:+.2f} +- {:.2f} %", 100.0),
     "axle": ("axle {:+.2f} +- {:.2f} %", 100.0),
-}
-
-
-_HEADING = {
     "size": ("wheels {:+.2f} +- {:.2f} %", 100.0),
     "scale": ("turns {:+.2f} +- {:.2f} % of the heading", 100.0),
     "drift": ("drift of the heading {:+.3f} +- {:.3f} deg/s", math.degrees(1.0)),
@@ -50,11 +46,10 @@ def calibration_record(
     """For a ``result.json``: the constant errors of the odometry by their names, and their standard
     deviations.
     """
-    pairs = zip(calibration.items(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
+    stds = np.sqrt(np.diag(covariance)).tolist()
     return {
-        name: number
-        for (part, error), std in pairs
-        for name, number in ((part, error), (f"{part}_std", std))
+        **calibration,
+        **{f"{part}_std": std for part, std in zip(calibration, stds, strict=True)},
     }
 
 
@@ -145,26 +140,29 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     ]
     lines = [f"method      {', '.join(filter(None, method))}"] if any(method) else []
     each = " by each robot" if _has(config, "robots") and config["robots"] > 1 else ""
-    lines += _told(
+    lines += _line(
         "record", "{steps} steps, {duration_s:.1f} s, {driven_m:.1f} m driven" + each, record
     )
-    lines += _places(record.get("places"))
-    found = record.get("calibration")
-    lines += (
-        [_calibration_line(sizes) for sizes in found if sizes] if isinstance(found, list) else []
-    )
+    places = record.get("places")
+    known = [each for each in places if _has(each, "time_s")] if isinstance(places, list) else []
+    lines += _listed("place", [_event(str(each.get("event")), each) for each in known])
+    calibrations = record.get("calibration")
+    for errors in calibrations if isinstance(calibrations, list) else ():
+        words = [
+            text.format(scale * errors[part], scale * errors[f"{part}_std"])
+            for part, (text, scale) in _ODOMETRY.items()
+            if _has(errors, part, f"{part}_std")
+        ]
+        if errors:
+            lines += _listed("calibrated", words or ["by unknown sizes"])
     if part_of(result, "metrics").get("status") != "lost":
-        lines += _sensor_line(record.get("sensor"), beams) + _turned_beams(
-            record.get("beam_turns"), beams
-        )
+        names = [
+            f"the beam at {math.degrees(beam['angle']):.4g} deg" if _has(beam, "angle") else ""
+            for beam in (beams if isinstance(beams, list | tuple) else ())
+        ]
+        lines += _sensor(part_of(record, "sensor"), names)
+        lines += _turned(record.get("beam_turns"), names)
     return lines
-
-
-def _places(events: Any) -> list[str]:
-    """When the robot was lost, and when it found its place again."""
-    known = [each for each in events if isinstance(each, dict)] if isinstance(events, list) else []
-    words = [_event(str(each.get("event")), each) for each in known if _has(each, "time_s")]
-    return [f"place       {', '.join(words)}"] if words else []
 
 
 def _event(event: str, details: Mapping[str, Any]) -> str:
@@ -172,9 +170,11 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
     if event == "not joined":
         where = "the map of the second robot is in map_unplaced.json, in its own frame"
         return f"not joined: {details.get('reason')}; {where}"
-    start = _numbers(details.get("start"))
-    if event == "joined" and "reason" in details and start is not None:
-        where = f"x {start[0]:.2f} m, y {start[1]:.2f} m, heading {np.degrees(start[2]):.1f} deg"
+    start: Any = details.get("start")
+    is_pose = isinstance(start, list) and _has(dict(enumerate(start)), 0, 1, 2)
+    if event == "joined" and "reason" in details and is_pose:
+        x, y, heading = start[:3]
+        where = f"x {x:.2f} m, y {y:.2f} m, heading {np.degrees(heading):.1f} deg"
         return f"joined: {details['reason']}; the second log begins at {where}"
     if not event.startswith("not found"):
         return f"{event} at {details['time_s']:.1f} s"
@@ -182,65 +182,31 @@ def _event(event: str, details: Mapping[str, Any]) -> str:
     return event + (own_frame if "saved map" in event else " again")
 
 
-def _calibration_line(found: Any) -> str:
-    """A robot's odometry calibration, as :func:`calibration_record` has it."""
-    for words in (_SIZES, _HEADING):
-        names = [(part, f"{part}_std") for part in words]
-        if isinstance(found, dict) and _has(found, *(name for pair in names for name in pair)):
-            sizes = [
-                text.format(scale * found[part], scale * found[std])
-                for (part, std), (text, scale) in zip(names, words.values(), strict=True)
-            ]
-            return f"calibrated  {', '.join(sizes)}"
-    return "calibrated  by unknown sizes"
-
-
-def _sensor_line(found: Any, beams: Any) -> list[str]:
+def _sensor(found: Mapping[str, Any], beams: Sequence[str]) -> list[str]:
     """What was found about a sensor that is not as specified, as ``RangeSensor.found`` has it."""
-    if not isinstance(found, dict):
-        return []
     words = [
         text.format(scale * found[name])
         for name, (text, scale) in _SENSOR.items()
         if _has(found, name)
     ]
-    broken: Any = found.get("broken_beams")
-    known = beams if isinstance(beams, list | tuple) else ()
-    for number, beam in enumerate(known) if isinstance(broken, list) else ():
-        if number in broken and isinstance(beam, dict) and _has(beam, "angle"):
-            degrees = math.degrees(beam["angle"])
-            words += [f"the beam at {degrees:.4g} deg always reads the same and is left out"]
-    return [f"sensor      {', '.join(words)}"] if words else []
+    broken = found.get("broken_beams")
+    for number, beam in enumerate(beams):
+        if isinstance(broken, list) and number in broken and beam:
+            words.append(f"{beam} always reads the same and is left out")
+    return _listed("sensor", words)
 
 
-def _turned_beams(turns: Any, beams: Any) -> list[str]:
+def _turned(turns: Any, beams: Sequence[str]) -> list[str]:
     """Which of a robot's beams are turned against its settings by more than chance, as
     :func:`sensor_record` has it.
     """
-    known = (
-        zip(beams, turns, strict=False)
-        if isinstance(turns, list) and isinstance(beams, list | tuple)
-        else ()
-    )
     sure = [
-        f"the beam at {math.degrees(beam['angle']):.4g} deg by {abs(turn['deg']):.1f} +- "
-        f"{turn['std_deg']:.1f} deg"
+        f"{beam} by {abs(turn['deg']):.1f} +- {turn['std_deg']:.1f} deg"
         f" to the {'left' if turn['deg'] > 0.0 else 'right'}"
-        for beam, turn in known
-        if isinstance(beam, dict) and _has(beam, "angle") and isinstance(turn, dict)
-        if _has(turn, "deg", "std_deg") and abs(turn["deg"]) > 3.0 * turn["std_deg"]
+        for beam, turn in zip(beams, turns if isinstance(turns, list) else (), strict=False)
+        if beam and _has(turn, "deg", "std_deg") and abs(turn["deg"]) > 3.0 * turn["std_deg"]
     ]
-    return [f"turned      {', '.join(sure)}, against the robot's settings"] if sure else []
-
-
-def _numbers(pose: Any) -> list[float] | None:
-    """A pose as three numbers; None if it is something else."""
-    is_pose = (
-        isinstance(pose, list)
-        and len(pose) == 3
-        and all(isinstance(value, int | float) for value in pose)
-    )
-    return pose if is_pose else None
+    return [f"{line}, against the robot's settings" for line in _listed("turned", sure)]
 
 
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:
@@ -248,34 +214,34 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
     values are left out.
     """
     lines = [f"stopped     {metrics.get('stop_reason', 'for an unknown reason')}"]
-    lines += _told("", "after {exploration_time_s:.1f} s and {path_m:.1f} m", metrics)
+    lines += _line("", "after {exploration_time_s:.1f} s and {path_m:.1f} m", metrics)
     collisions = "collision" if metrics.get("collisions") == 1 else "collisions"
-    lines += _told(
+    lines += _line(
         "covered", "{coverage_true:.1%} of what can be seen, {collisions:g} " + collisions, metrics
     )
     lines += _status(metrics) + _errors(metrics)
-    if limit := _told(
+    if limit := _line(
         "limit",
         "{limit_ate_m:.3f} m rms, the least-squares solution with known associations",
         metrics,
     ):
         smoothed = _with(", smoothed is {smoothed_over_limit:.1f} times that", metrics)
-        lines += limit + _told(
+        lines += limit + _line(
             "", "the error is {ate_over_limit:.1f} times that" + smoothed, metrics
         )
     before = _with("; {wall_f1_aligned_online:.2f} before smoothing", metrics)
-    lines += _told(
+    lines += _line(
         "map", "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned" + before, metrics
     )
-    return lines + _told("speed", "{speed_x_real_time:.0f} x real time", cost)
+    return lines + _line("speed", "{speed_x_real_time:.0f} x real time", cost)
 
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left
     out.
     """
-    lines = _status(metrics) + _smoothed_status(metrics) + _reversing(metrics) + _errors(metrics)
-    lines += _told(
+    lines = _status(metrics) + _smoothed_status(metrics) + _errors(metrics)
+    lines += _line(
         "",
         "the filter was lost after {online_graph_from_s:.0f} s; the online graph went on",
         metrics,
@@ -298,78 +264,68 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     if texts.get("odometry_") == texts.get("raw_odometry_"):
         texts.pop("odometry_", None)
     lines += [f"relations   {trajectories[prefix]:21}{text}" for prefix, text in texts.items()]
-    return lines + _told("map", "{landmarks} walls", metrics)
+    return lines + _line("map", "{landmarks} walls", metrics)
 
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:
     """The status at the end, and how long the estimate had each status if there were several."""
     level = metrics.get("status")
-    reason = metrics.get("status_reason")
-    note = metrics.get("status_note")
     if not isinstance(level, str):
         return []
+    reason = metrics.get("status_reason")
+    note = metrics.get("status_note")
     why = f": {reason}" if reason else ""
-    names = [
-        name
+    times = {
+        name: metrics[f"{name}_s"]
         for name in ("ok", "unsure", "lost")
         if _has(metrics, f"{name}_s") and metrics[f"{name}_s"] > 0.0
-    ]
-    times = (
-        ", ".join(f"{name} for {metrics[f'{name}_s']:.0f} s" for name in names)
-        if names not in ([], ["ok"])
-        else ""
-    )
+    }
+    words = ", ".join(f"{name} for {seconds:.0f} s" for name, seconds in times.items())
+    spent = "" if list(times) == ["ok"] else words
     if isinstance(note, str):
         # A smoothed path can be right where the filter was lost.
         return [f"status      {level}{why}{f'; {note}' if note else ''}"]
     if not any("smoothed" in name for name in metrics):
-        return [f"status      {level}{why}{f'; {times}' if times else ''}"]
-    if not times:
+        return [f"status      {level}{why}{f'; {spent}' if spent else ''}"]
+    if not spent:
         return [f"status      {level} while driving{why}"]
-    return [f"status      while driving {times}{f'; at its end {level}{why}' if why else ''}"]
+    return [f"status      while driving {spent}{f'; at its end {level}{why}' if why else ''}"]
 
 
 def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
-    """Whether the smoothed path can be trusted."""
+    """Whether the smoothed path can be trusted, and how far the robot drove backwards although
+    odometry reports driving ahead.
+    """
     level = metrics.get("smoothed_status")
-    reason = metrics.get("smoothed_status_reason")
-    if not isinstance(level, str):
-        return []
-    lines = [f"            {level} at the end{f': {reason}' if reason else ''}"]
-    if metrics.get("smoothed_kind") == "odometry":
-        lines.append(
-            "            the path is that of odometry, which the readings do not make better"
-        )
-    few = f"with fewer than {FEW_POINTS:.0f}, paths were often wrong"
-    points = _told(
-        "", "{smoothed_points_per_m:.1f} readings of walls in a metre of driving: " + few, metrics
-    )
-    return lines + (points if points and metrics["smoothed_points_per_m"] < FEW_POINTS else [])
-
-
-def _reversing(metrics: Mapping[str, Any]) -> list[str]:
-    """How far the robot drove backwards although odometry reports driving ahead."""
-    if (
-        not _has(metrics, "smoothed_reversed_m", "smoothed_reversed_places")
-        or not metrics["smoothed_reversed_places"]
-    ):
-        return []
-    count = metrics["smoothed_reversed_places"]
-    where = f"{metrics['smoothed_reversed_m']:.1f} m at {counted(count, 'place')}"
-    return [f"            driven backwards over {where}, which odometry reports as driven ahead"]
+    lines = []
+    if isinstance(level, str):
+        reason = metrics.get("smoothed_status_reason")
+        lines += _listed("", [f"{level} at the end{f': {reason}' if reason else ''}"])
+        if metrics.get("smoothed_kind") == "odometry":
+            path = "the path is that of odometry, which the readings do not make better"
+            lines += _listed("", [path])
+        few = f"with fewer than {FEW_POINTS:.0f}, paths were often wrong"
+        points = "{smoothed_points_per_m:.1f} readings of walls in a metre of driving: " + few
+        if _has(metrics, "smoothed_points_per_m") and metrics["smoothed_points_per_m"] < FEW_POINTS:
+            lines += _line("", points, metrics)
+    if _has(metrics, "smoothed_reversed_places") and metrics["smoothed_reversed_places"]:
+        where = counted(metrics["smoothed_reversed_places"], "place")
+        ahead = f" m at {where}, which odometry reports as driven ahead"
+        lines += _line("", "driven backwards over {smoothed_reversed_m:.1f}" + ahead, metrics)
+    return lines
 
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:
-    lines = _told("error", "{ate_m:.3f} m rms; by odometry alone {odometry_ate_m:.3f} m", metrics)
+    lines = _line("error", "{ate_m:.3f} m rms; by odometry alone {odometry_ate_m:.3f} m", metrics)
     if not lines:
-        return _told("error", "{ate_aligned_m:.3f} m rms when aligned", metrics)
+        return _line("error", "{ate_aligned_m:.3f} m rms when aligned", metrics)
     smoothed = _with(", smoothed {anees_smoothed:.2g}", metrics)
-    lines += _told(
+    lines += _line(
         "consistency",
         f"NEES / 3 is {{anees:.2g}}{smoothed}; 1 is right, more is overconfident",
         metrics,
     )
-    return lines + _told(
+    return lines + _line(
         "smoothed", "{ate_smoothed_m:.3f} m rms, by all that was known at the end", metrics
     )
 
@@ -382,10 +338,15 @@ def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:
     return text + f"   loops {metrics[loops + '_m']:7.3f} m {metrics[loops + '_deg']:6.2f} deg"
 
 
-def _told(title: str, text: str, numbers: Mapping[str, Any]) -> list[str]:
+def _line(title: str, text: str, numbers: Mapping[str, Any]) -> list[str]:
     """A line with numbers by their names, if all of them are there."""
     words = _with(text, numbers)
-    return [f"{title:12}{words}"] if words else []
+    return _listed(title, [words] if words else [])
+
+
+def _listed(title: str, words: Sequence[str]) -> list[str]:
+    """A line with a list, if there is anything in it."""
+    return [f"{title:12}{', '.join(words)}"] if words else []
 
 
 def _with(text: str, numbers: Mapping[str, Any]) -> str:
@@ -394,6 +355,8 @@ def _with(text: str, numbers: Mapping[str, Any]) -> str:
     return text.format_map(numbers) if _has(numbers, *names) else ""
 
 
-def _has(numbers: Mapping[str, Any], *names: str) -> bool:
+def _has(numbers: Any, *names: object) -> bool:
     """Whether all names have numbers. The file may come from another version, or from an editor."""
-    return all(isinstance(numbers.get(name), int | float) for name in names)
+    return isinstance(numbers, Mapping) and all(
+        isinstance(numbers.get(name), int | float) for name in names
+    )

@@ -1,41 +1,41 @@
 """The right half of a video: the belief of the robots, drawn as a map."""
 
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from limslam_agent.output.style import (
-    FREE,
-    FRONTIER,
     GLOW,
     INK,
     OCCUPIED,
-    PAPER,
     PEAKS,
-    UNKNOWN,
-    WALL,
-    Colour,
-    Image,
     blended,
-    mixed,
     plain,
-    robot_colour,
     side_colour,
     width_of,
     write,
 )
 from limslam_agent.video.belief_frame import BeliefFrame, HoughView, wall_bands
+from limslam_env.canvas import (
+    BELIEF,
+    FRONTIER,
+    PAPER,
+    SEEN,
+    SHIFT,
+    UNSEEN,
+    Canvas,
+    Colour,
+    Image,
+    mixed,
+    robot_colour,
+)
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.shapes import ellipse, thinned
 
 EXTRACTION_SHOWN = 1.0
 """Simulated time for which the points and lines of an extraction stay visible in the map, s."""
 
-_SHIFT = 4  # OpenCV draws at 1/16 pixel
-_FAR = 100_000  # pixels
 _WIDEST_BAND = 1.5  # m
 _SURE = 8  # value of a cell from which it has its full colour
 _RADIUS = 0.10  # m
@@ -43,47 +43,8 @@ _APART = 150  # pixels
 _TRAIL_POINTS = 1500
 
 
-@dataclass(frozen=True, eq=False)
-class Sheet:
-    """A picture with world coordinates: x to the right, y upwards, m."""
-
-    image: Image  # (height, width, 3), RGB
-    low: FloatArray  # World position of the lower left corner of the picture (2,), m
-    scale: float  # Pixels per metre
-
-    def pixels(self, points: FloatArray) -> NDArray[np.int32]:
-        """Positions (n, 2), m, in the fixed-point pixel coordinates of OpenCV."""
-        scaled = (np.asarray(points, dtype=float) - self.low) * (self.scale, -self.scale) + (
-            0.0,
-            self.image.shape[0],
-        )
-        # An estimate may lie anywhere, but OpenCV uses 32-bit coordinates.
-        return np.asarray(
-            np.round(np.clip(scaled - 0.5, -_FAR, _FAR) * (1 << _SHIFT)), dtype=np.int32
-        )
-
-    def path(
-        self, points: FloatArray, colour: Colour, width: int = 1, *, closed: bool = False
-    ) -> None:
-        """Draw lines through points (n, 2), m. The width is in pixels."""
-        if len(points):
-            cv2.polylines(
-                self.image,
-                [self.pixels(points)],
-                isClosed=closed,
-                color=colour,
-                thickness=width,
-                lineType=cv2.LINE_AA,
-                shift=_SHIFT,
-            )
-
-    def discs(self, centres: FloatArray, radius: float, colour: Colour, width: int = -1) -> None:
-        """Draw discs at positions (n, 2), m, or rings of a width in pixels. The radius is in
-        pixels.
-        """
-        size = round(radius * (1 << _SHIFT))
-        for x, y in self.pixels(centres.reshape(-1, 2)).tolist():
-            cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
+class Sheet(Canvas):
+    """A picture of a belief."""
 
     def wash(self, outlines: FloatArray, colour: Colour, strength: float = 1.0) -> None:
         """Fill polygons (n, k, 2), m, with a transparent colour. Overlaps are not darker."""
@@ -92,23 +53,23 @@ class Sheet:
         corners = self.pixels(outlines.reshape(-1, 2)).reshape(outlines.shape)
         height, width = self.image.shape[:2]
         # Only the bounding box is blended, because most polygons are small.
-        left, top = np.maximum((corners.min(axis=(0, 1)) >> _SHIFT) - 2, 0).tolist()
+        left, top = np.maximum((corners.min(axis=(0, 1)) >> SHIFT) - 2, 0).tolist()
         right, bottom = np.minimum(
-            (corners.max(axis=(0, 1)) >> _SHIFT) + 3, (width, height)
+            (corners.max(axis=(0, 1)) >> SHIFT) + 3, (width, height)
         ).tolist()
         if left >= right or top >= bottom:
             return
         cover = np.zeros((bottom - top, right - left), dtype=np.uint8)
-        corners -= np.array([left, top], dtype=np.int32) << _SHIFT
+        corners -= np.array([left, top], dtype=np.int32) << SHIFT
         for outline in corners:
-            cv2.fillPoly(cover, [outline], (round(255 * strength),), cv2.LINE_AA, _SHIFT)
+            cv2.fillPoly(cover, [outline], (round(255 * strength),), cv2.LINE_AA, SHIFT)
         touched = np.nonzero(cover)
         part = self.image[top:bottom, left:right]
         part[touched] = blended(part[touched], colour, cover[touched][:, None])
 
     def label(self, words: str, place: FloatArray, size: int, ink: Colour, paper: Colour) -> None:
         """Write a text on a small plate at a position (2,), m."""
-        x, y = (self.pixels(np.asarray(place)[None])[0] >> _SHIFT).tolist()
+        x, y = (self.pixels(np.asarray(place)[None])[0] >> SHIFT).tolist()
         half = width_of(words, size, bold=True) // 2 + 3
         above = round(0.36 * size) + 3
         cv2.rectangle(self.image, (x - half, y - above), (x + half, y + above), paper, -1)
@@ -123,11 +84,16 @@ def draw_belief(
 
     ``window`` has the lower left and the upper right corner (2,), m, of the visible region.
     """
-    sheet = _sheet(size, window)
+    (width, height), (low, high) = size, window
+    extent = np.maximum(high - low, 1e-3)
+    scale = float(min(width / extent[0], height / extent[1]))
+    # The window is centred. Both directions have the same scale.
+    corner = 0.5 * (low + high) - 0.5 * np.array([width, height]) / scale
+    origin = np.array([-0.5, height - 0.5])
+    sheet = Sheet(plain(width, height, UNSEEN).copy(), corner, origin, scale)
     _draw_grid(sheet, frame)
     for number, path in enumerate(frame.paths):
-        sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
-    _draw_bands(sheet, frame)
+        sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), SEEN, 0.5), 2)
     _draw_walls(sheet, frame)
     for buffer in frame.buffers:
         sheet.discs(buffer.points, 2.2, side_colour(buffer.side))
@@ -140,15 +106,6 @@ def draw_belief(
     return sheet.image
 
 
-def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Sheet:
-    (width, height), (low, high) = size, window
-    extent = np.maximum(high - low, 1e-3)
-    scale = float(min(width / extent[0], height / extent[1]))
-    # The window is centred. Both directions have the same scale.
-    corner = 0.5 * (low + high) - 0.5 * np.array([width, height]) / scale
-    return Sheet(plain(width, height, UNKNOWN).copy(), corner, scale)
-
-
 def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the cells: light where free, grey where occupied, with a stronger colour for a larger
     value.
@@ -159,8 +116,8 @@ def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     values = np.clip(grid.values.astype(np.float32) / _SURE, -1.0, 1.0)[..., None]
     # A cell that was seen once must look different from a cell that was never seen.
     strength = np.where(values == 0.0, 0.0, 0.5 + 0.5 * np.abs(values))
-    known = np.where(values > 0.0, np.array(FREE), np.array(OCCUPIED))
-    cells = np.round(np.array(UNKNOWN) + strength * (known - np.array(UNKNOWN))).astype(np.uint8)
+    known = np.where(values > 0.0, np.array(SEEN), np.array(OCCUPIED))
+    cells = np.round(np.array(UNSEEN) + strength * (known - np.array(UNSEEN))).astype(np.uint8)
     step = 1.0 / (sheet.scale * grid.cell)
     column, row = (sheet.low - grid.low) / grid.cell
     height, width = sheet.image.shape[:2]
@@ -179,25 +136,22 @@ def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     sheet.wash(frame.frontier[:, None] + half, FRONTIER, 0.55)
 
 
-def _draw_bands(sheet: Sheet, frame: BeliefFrame) -> None:
-    """Draw the walls' uncertainty, up to a distance from each wall."""
-    ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
-    low = ends.min(axis=1, keepdims=True)
-    high = ends.max(axis=1, keepdims=True)
-    sheet.wash(
-        np.clip(wall_bands(frame.walls), low - _WIDEST_BAND, high + _WIDEST_BAND), WALL, 0.22
-    )
-
-
 def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
+    """Draw the walls over their uncertainty, which is shown up to a distance from each wall."""
+    ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
+    low = ends.min(axis=1, keepdims=True) - _WIDEST_BAND
+    high = ends.max(axis=1, keepdims=True) + _WIDEST_BAND
+    sheet.wash(np.clip(wall_bands(frame.walls), low, high), BELIEF, 0.22)
     glowing = {wall for event in frame.events for wall in event.walls}
     for wall in frame.walls:
         if wall.number + 1 in glowing:
             sheet.path(wall.ends, GLOW, 7)
         is_sure = wall.number + 1 not in frame.unsure
-        sheet.path(wall.ends, WALL if is_sure else mixed(WALL, UNKNOWN, 0.3), 2 if is_sure else 1)
+        sheet.path(
+            wall.ends, BELIEF if is_sure else mixed(BELIEF, UNSEEN, 0.3), 2 if is_sure else 1
+        )
         if is_sure:
-            sheet.discs(wall.ends, 2.5, WALL)
+            sheet.discs(wall.ends, 2.5, BELIEF)
 
 
 def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
@@ -208,7 +162,7 @@ def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
     glowing = {wall for event in frame.events for wall in event.walls}
     for name, middle in middles.items():
         if name not in frame.unsure and name not in glowing:
-            sheet.label(str(name), middle, 10, WALL, mixed(PAPER, WALL, 0.06))
+            sheet.label(str(name), middle, 10, BELIEF, mixed(PAPER, BELIEF, 0.06))
     for event in frame.events:
         known = [wall for wall in event.walls if wall in middles]
         ends = np.array([middles[wall] for wall in known]).reshape(-1, 2)
@@ -254,10 +208,5 @@ def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: 
     size = max(_RADIUS * sheet.scale, 4.0)
     sheet.discs(pose[:2], size, colour)
     sheet.discs(pose[:2], size, mixed(colour, INK, 0.4), 1)
-    corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (
-        1.25 * size / sheet.scale
-    )
-    cos = math.cos(heading)
-    sin = math.sin(heading)
-    sheet.wash((pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]))[None], PAPER)
+    sheet.wash(sheet.arrow(pose, 1.25 * size)[None], PAPER)
     sheet.path(outline, mixed(colour, INK, 0.4), 1, closed=True)

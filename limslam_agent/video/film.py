@@ -2,23 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import cv2
 import numpy as np
 
-from limslam_agent.output.style import (
-    FAINT,
-    GLOW,
-    INK,
-    PAPER,
-    RULE,
-    TEXT,
-    Image,
-    fitted,
-    mixed,
-    width_of,
-    write,
-)
+from limslam_agent.output.style import FAINT, GLOW, INK, box, fitted, width_of, write
 from limslam_agent.video.belief_frame import BeliefFrame
 from limslam_agent.video.belief_panels import (
     blank,
@@ -32,6 +21,7 @@ from limslam_agent.video.belief_panels import (
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.narration import SPEED, Caption, Narrator
 from limslam_agent.video.video import VideoWriter
+from limslam_env.canvas import PAPER, RULE, TEXT, Image, mixed
 from limslam_env.geometry import FloatArray
 
 WIDTH = 1280
@@ -73,15 +63,19 @@ class Scene:
     is_paused: bool = False  # Whether the video is paused for the caption
 
 
+Box: TypeAlias = tuple[int, int, int, int]
+"""Left, top, width and height of a part of a frame, pixels."""
+
+
 @dataclass(frozen=True)
 class Layout:
-    """Positions of the parts of a frame. A box is left, top, width and height in pixels."""
+    """Positions of the parts of a frame."""
 
-    truth: tuple[int, int, int, int]
-    belief: tuple[int, int, int, int]
-    buffers: tuple[int, int, int, int]
-    hough: tuple[int, int, int, int]
-    log: tuple[int, int, int, int]
+    truth: Box
+    belief: Box
+    buffers: Box
+    hough: Box
+    log: Box
 
 
 class Film:
@@ -151,13 +145,13 @@ def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
     layout = layout_for(width / height, len(frame.poses))
     several = len(frame.poses) > 1
     _draw_header(page, frame.time, scene)
-    _headed(
-        page, layout.truth, "Truth", "unknown to the robots" if several else "unknown to the robot"
-    )
-    _headed(
-        page, layout.belief, "Belief", "one map for all robots" if several else "the robot's map"
-    )
-    _put(page, _resized(truth, layout.truth[2:]), layout.truth)
+    robots = "robots" if several else "robot"
+    _headed(page, layout.truth, "Truth", f"unknown to the {robots}")
+    whose = "one map for all robots" if several else "the robot's map"
+    _headed(page, layout.belief, "Belief", whose)
+    size = layout.truth[2:]
+    way = cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR
+    _put(page, np.asarray(cv2.resize(truth, size, interpolation=way), dtype=np.uint8), layout.truth)
     _put(page, draw_belief(frame, layout.belief[2:], scene.window), layout.belief)
     _put(page, draw_buffers(frame.buffers, *layout.buffers[2:]), layout.buffers)
     _put(page, draw_hough(frame.hough, *layout.hough[2:], several=several), layout.hough)
@@ -239,23 +233,14 @@ def _draw_header(page: Image, time: float, scene: Scene) -> None:
     right = WIDTH - _GAP
     minutes, seconds = divmod(round(time, 1), 60.0)
     write(page, f"{int(minutes)}:{seconds:04.1f}", (right, 33), 18, INK, bold=True, anchor="right")
-    write(page, f"seen {100.0 * scene.coverage:.0f} %", (right - 150, 33), 14, TEXT, anchor="right")
-    _bar(page, right - 142, 24, 60, scene.coverage)
-    write(
-        page,
-        "paused" if scene.is_paused else f"{SPEED:g} x",
-        (right - 270, 33),
-        14,
-        FAINT,
-        anchor="right",
-    )
+    write(page, f"seen {100.0 * scene.coverage:.0f} %", (right - 150, 33), 14, anchor="right")
+    bar = right - 142
+    box(page, (bar, 24), (bar + 60, 30), RULE)
+    if scene.coverage > 0.0:
+        box(page, (bar, 24), (bar + round(60 * min(scene.coverage, 1.0)), 30), TEXT)
+    speed = "paused" if scene.is_paused else f"{SPEED:g} x"
+    write(page, speed, (right - 270, 33), 14, FAINT, anchor="right")
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
-
-
-def _bar(page: Image, x: int, y: int, width: int, share: float) -> None:
-    cv2.rectangle(page, (x, y), (x + width, y + 6), RULE, -1)
-    if share > 0.0:
-        cv2.rectangle(page, (x, y), (x + round(width * min(share, 1.0)), y + 6), TEXT, -1)
 
 
 def _draw_foot(page: Image, scene: Scene) -> None:
@@ -263,27 +248,22 @@ def _draw_foot(page: Image, scene: Scene) -> None:
     width = WIDTH - 2 * _GAP
     _put(page, draw_stages(scene.caption.stages, width, 26), (_GAP, top, width, 26))
     if scene.is_paused:
-        cv2.rectangle(page, (0, top + 34), (WIDTH, top + 90), mixed(GLOW, PAPER, 0.82), -1)
+        box(page, (0, top + 34), (WIDTH, top + 90), mixed(GLOW, PAPER, 0.82))
     write(page, scene.caption.headline, (_GAP, top + 58), 18, INK, bold=True)
     write(page, scene.caption.explanation, (_GAP, top + 81), 15, INK if scene.is_paused else TEXT)
     _put(page, draw_legend(width, 22), (_GAP, HEIGHT - 27, width, 22))
 
 
-def _headed(page: Image, box: tuple[int, int, int, int], words: str, more: str) -> None:
-    left, top, width, height = box
+def _headed(page: Image, place: Box, words: str, more: str) -> None:
+    left, top, width, height = place
     write(page, words, (left, top - 9), 15, INK, bold=True)
     write(page, more, (left + width_of(words, 15, bold=True) + 10, top - 9), 12, FAINT)
-    cv2.rectangle(page, (left - 1, top - 1), (left + width, top + height), RULE, 1)
+    box(page, (left - 1, top - 1), (left + width, top + height), RULE, 1)
 
 
-def _put(page: Image, part: Image, box: tuple[int, int, int, int]) -> None:
-    left, top, width, height = box
+def _put(page: Image, part: Image, place: Box) -> None:
+    left, top, width, height = place
     page[top : top + height, left : left + width] = part
-
-
-def _resized(image: Image, size: tuple[int, int]) -> Image:
-    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
 
 
 def _even(width: float, height: float) -> tuple[int, int]:

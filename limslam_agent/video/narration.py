@@ -126,34 +126,34 @@ class Narrator:
         self._robots = len(frame.poses)
         happening = _happenings(frame, self._last)
         for event in frame.events:
-            self._note(
-                frame.time,
-                event.kind,
-                _who(event.robot, several and event.kind != "loop") + event.words,
-            )
+            who = f"robot {event.robot + 1}: " if several and event.kind != "loop" else ""
+            self._note(frame.time, event.kind, who + event.words)
         for robot in frame.new_goals:
-            self._note(frame.time, "goal", _who(robot, several) + "drives to a frontier")
-        about: dict[str, Event] = {event.kind: event for event in frame.events}
-        taught = self._lessons_now(frame.time, happening)
-        lessons = [replace(LESSONS[kind], event=about.get(kind)) for kind in taught]
+            who = f"robot {robot + 1}: " if several else ""
+            self._note(frame.time, "goal", f"{who}drives to a frontier")
         self._last = frame
-        self._waiting |= {
-            kind: caption for kind, caption in _captions(frame).items() if kind in happening
-        }
+        captions = _captions(frame)
+        self._waiting |= {kind: captions[kind] for kind in happening if kind in captions}
         self._choose(frame.time)
-        return [*((lesson, lesson.reading_time) for lesson in lessons), (self._caption, 0.0)]
+        spoken = [(self._caption, 0.0)]
+        kind = self._to_explain(frame.time, happening)
+        if kind is not None:
+            about: dict[str, Event] = {event.kind: event for event in frame.events}
+            lesson = replace(LESSONS[kind], event=about.get(kind))
+            spoken.insert(0, (lesson, lesson.reading_time))
+        return spoken
 
-    def _lessons_now(self, time: float, happening: Sequence[str]) -> list[str]:
+    def _to_explain(self, time: float, happening: Sequence[str]) -> str | None:
         """The kind to explain now: one at a time, with some of the run between two. Loops are rare
         and do not wait.
         """
-        new = [kind for kind in happening if kind in self._untaught]
-        if (time - self._explained) / SPEED < _BETWEEN:
-            new = [kind for kind in new if kind == "loop"]
-        if new:
-            self._explained = time
-        self._untaught -= set(new[:1])
-        return new[:1]
+        is_early = (time - self._explained) / SPEED < _BETWEEN
+        for kind in happening:
+            if kind in self._untaught and (kind == "loop" or not is_early):
+                self._explained = time
+                self._untaught.remove(kind)
+                return kind
+        return None
 
     def _note(self, time: float, kind: str, words: str) -> None:
         """Put an event on top of the log. Repeated events share one line."""
@@ -173,18 +173,16 @@ class Narrator:
         } or self._waiting
         best = max(others, key=_WEIGHTS.__getitem__, default=None)
         if held > _OUTDATED and (best is None or best == self._said != "drive"):
-            self._said, self._caption, self._since = (
-                "drive",
-                _captions_of_driving(self._robots),
-                time,
-            )
-            self._waiting = {}
-            return
-        if best is None or held < _LEAST_HOLD:
-            return
-        if held < _HOLD and _WEIGHTS[best] <= _WEIGHTS[self._said]:
-            return
-        self._said, self._caption, self._since = best, self._waiting[best], time
+            self._say("drive", _captions_of_driving(self._robots), time)
+        elif best is not None and held >= _LEAST_HOLD:
+            is_urgent = _WEIGHTS[best] > _WEIGHTS[self._said]
+            if held >= _HOLD or is_urgent:
+                self._say(best, self._waiting[best], time)
+
+    def _say(self, kind: str, caption: Caption, time: float) -> None:
+        self._said = kind
+        self._caption = caption
+        self._since = time
         self._waiting = {}
 
 
@@ -192,17 +190,14 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
     """Kinds of the events since the last frame, in the order of the method."""
     if last is None:
         return ["start"]
-    is_extracted = (
-        frame.hough is not None and len(frame.hough.peaks) and frame.hough is not last.hough
-    )
-    is_collected = any(2 * len(buffer.points) >= buffer.enough for buffer in frame.buffers)
+    before = -np.inf if last.hough is None else last.hough.time
+    hough = frame.hough
     kinds = {event.kind for event in frame.events}
     found = {
         "goal": bool(frame.new_goals) and last.time > 0.0,
         "drive": (np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any(),
-        "collect": is_collected,
-        "hough": is_extracted
-        and (last.hough is None or frame.hough is None or frame.hough.time > last.hough.time),
+        "collect": any(2 * len(each.points) >= each.enough for each in frame.buffers),
+        "hough": hough is not None and len(hough.peaks) > 0 and hough.time > before,
         "new": "new" in kinds,
         "again": "again" in kinds,
         "loop": "loop" in kinds,
@@ -241,9 +236,7 @@ def _captions(frame: BeliefFrame) -> dict[str, Caption]:
             "may be wrong.",
         )
     for event in frame.events:
-        said[event.kind] = replace(
-            _caption_of(event, _whose(event.robot, several)), hough=frame.hough
-        )
+        said[event.kind] = _caption_of(event, _whose(event.robot, several), frame.hough)
     return said
 
 
@@ -257,7 +250,7 @@ def _captions_of_driving(robots: int) -> Caption:
     )
 
 
-def _caption_of(event: Event, whose: str) -> Caption:
+def _caption_of(event: Event, whose: str, hough: HoughView | None) -> Caption:
     words = {
         "loop": (
             (5,),
@@ -275,11 +268,7 @@ def _caption_of(event: Event, whose: str) -> Caption:
             "The difference between expected and observed line corrects the robot and all walls.",
         ),
     }
-    return Caption(*words[event.kind], event)
-
-
-def _who(robot: int, several: bool) -> str:
-    return f"robot {robot + 1}: " if several else ""
+    return Caption(*words[event.kind], event, hough)
 
 
 def _whose(robot: int, several: bool) -> str:

@@ -16,7 +16,8 @@ import numpy as np
 from PIL import Image as Pictures
 
 from limslam_agent.output.atomic_write import atomic_write, check_target
-from limslam_agent.output.style import PALETTE, Image
+from limslam_agent.output.style import PALETTE
+from limslam_env.canvas import Image
 
 SUFFIXES = (".mp4", ".gif")
 
@@ -82,43 +83,14 @@ class _Mp4:
         self._fps = fps
         # Error messages go to a file, because a pipe without a reader would fill up and block.
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
-        command = [
-            program,
-            "-y",
-            "-loglevel",
-            "error",
-            "-f",
-            "rawvideo",
-            "-pix_fmt",
-            "yuv420p",
-            "-s",
-            f"{size[0]}x{size[1]}",
-            "-r",
-            f"{fps:g}",
-            "-i",
-            "-",
-            "-an",
-            "-c:v",
-            "libx264",
-            "-preset",
-            "veryfast",
-            "-crf",
-            "20",
-            "-colorspace",
-            "smpte170m",
-            "-color_primaries",
-            "smpte170m",
-            "-color_trc",
-            "smpte170m",
-            "-pix_fmt",
-            "yuv420p",
-            "-movflags",
-            "+faststart",
-            str(beside),
-        ]
+        options = (
+            f"-y -loglevel error -f rawvideo -pix_fmt yuv420p -s {size[0]}x{size[1]} -r {fps:g} "
+            "-i - -an -c:v libx264 -preset veryfast -crf 20 -colorspace smpte170m "
+            "-color_primaries smpte170m -color_trc smpte170m -pix_fmt yuv420p -movflags +faststart"
+        )
         # A separate session keeps a keyboard interrupt away from ffmpeg. This class ends ffmpeg.
         self._process = subprocess.Popen(  # noqa: S603 (the program is imageio-ffmpeg's)
-            command,
+            [program, *options.split(), str(beside)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
@@ -184,8 +156,13 @@ class _Gif:
         if self._frames and self._owed + time < self._step - 1e-9:
             self._owed += time
             return
-        small = _small(image)
-        self._size = (small.shape[1], small.shape[0])
+        height, width = image.shape[:2]
+        small = image
+        self._size = (width, height)
+        if width > _GIF_WIDTH:
+            self._size = (_GIF_WIDTH, round(height * _GIF_WIDTH / width))
+            resized = cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)
+            small = np.asarray(resized, dtype=np.uint8)
         if self._frames:
             last, shown = self._frames[-1]
             self._frames[-1] = (last, shown + self._owed)
@@ -204,7 +181,8 @@ class _Gif:
                 kept.append((data, time))
             else:
                 kept[-1] = (kept[-1][0], kept[-1][1] + time)
-        self._frames, self._step = kept, 2.0 * self._step
+        self._frames = kept
+        self._step *= 2.0
 
     def finish(self) -> None:
         """Complete the file."""
@@ -231,26 +209,19 @@ class _Gif:
         """Free all resources."""
         self._frames = []
 
-    def _pictures(self) -> Iterator[Pictures.Image]:
-        for data, _ in self._frames:
+    def _pictures(self, every: int = 1) -> Iterator[Pictures.Image]:
+        for data, _ in self._frames[::every]:
             yield Pictures.frombytes("RGB", self._size, zlib.decompress(data))
 
     def _palette(self) -> Pictures.Image:
         """One palette for all frames, so that regions without change need no space in the file."""
         every = max(len(self._frames) // _GIF_PALETTE_SAMPLES, 1)
         width, height = self._size
-        samples = self._frames[::every]
-        sheet = Pictures.new("RGB", (width, height * len(samples)))
-        for number, (data, _) in enumerate(samples):
-            sheet.paste(
-                Pictures.frombytes("RGB", self._size, zlib.decompress(data)), (0, number * height)
-            )
-        found = (
-            sheet.quantize(
-                _GIF_COLOURS - len(PALETTE), method=Pictures.Quantize.MEDIANCUT
-            ).getpalette()
-            or []
-        )
+        sheet = Pictures.new("RGB", (width, height * len(self._frames[::every])))
+        for number, picture in enumerate(self._pictures(every)):
+            sheet.paste(picture, (0, number * height))
+        colours = _GIF_COLOURS - len(PALETTE)
+        found = sheet.quantize(colours, method=Pictures.Quantize.MEDIANCUT).getpalette() or []
         # Thin lines and rings have few pixels. Without fixed colours they would lose their colours.
         palette = Pictures.new("P", (1, 1))
         palette.putpalette([*(part for colour in PALETTE for part in colour), *found])
@@ -259,14 +230,6 @@ class _Gif:
 
 VideoWriter: TypeAlias = _Mp4 | _Gif
 """Takes the frames of a video file, which :func:`video_file` makes."""
-
-
-def _small(image: Image) -> Image:
-    height, width = image.shape[:2]
-    if width <= _GIF_WIDTH:
-        return image
-    size = (_GIF_WIDTH, round(height * _GIF_WIDTH / width))
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _ffmpeg() -> str:

@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled, Error
 from numpy.typing import NDArray
 
+from limslam_env.canvas import PAPER, TEXT
+
 if TYPE_CHECKING:
     import pygame
 
-_PAPER = (250, 250, 249)
-_TEXT = (86, 94, 108)
 _MESSAGE_HEIGHT = 22
 
 
@@ -130,12 +130,12 @@ class Window:
             return
         pygame = self._pygame
         pygame.font.init()
-        words = pygame.font.Font(None, 18).render(self.message, True, _TEXT)  # noqa: FBT003 (pygame's call is positional)
+        words = pygame.font.Font(None, 18).render(self.message, True, TEXT)  # noqa: FBT003 (pygame's call is positional)
         width, height = screen.get_size()
         if words.get_width() > width - 8:
             words = pygame.transform.smoothscale_by(words, (width - 8) / words.get_width())
         strip = pygame.Rect(0, height - _MESSAGE_HEIGHT, width, _MESSAGE_HEIGHT)
-        screen.fill(_PAPER, strip)
+        screen.fill(PAPER, strip)
         screen.blit(words, words.get_rect(center=strip.center))
 
 

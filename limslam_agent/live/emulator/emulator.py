@@ -1,7 +1,8 @@
-"""The emulated robot: a body in the simulator, and the firmware."""
+"""The emulated robot: a body in the simulator, the firmware, and the loop that lets it drive."""
 
 import math
-from typing import NamedTuple
+import time
+from typing import IO, NamedTuple, NoReturn, Protocol
 
 import numpy as np
 
@@ -16,8 +17,45 @@ from limslam_env.worlds.world import World
 ANSWER_WITHIN = 2.0
 """Longest time for which an emulator without a fixed speed waits for the host's answer, s."""
 
-LONELY_POLL = 0.02
-"""Time between two steps of a robot that nobody drives, s."""
+_LONELY_POLL = 0.02  # s, between two steps of a robot that nobody drives
+
+
+class Driven(Protocol):
+    """A robot with its connection to the host."""
+
+    @property
+    def truth(self) -> str:
+        """The true pose as a line of text."""
+
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether the host has not yet answered."""
+
+    def step(self) -> None:
+        """Drive for a control period, and tell the host what was measured."""
+
+    def listen(self, timeout: float) -> None:
+        """Obey the host. Waits for its first command, at most ``timeout`` s."""
+
+
+def run(robot: Driven, pace: float, truth: IO[str] | None) -> NoReturn:
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to
+    answer.
+    """
+    due = time.monotonic()
+    while True:
+        robot.step()
+        if truth is not None:
+            truth.write(robot.truth)
+        now = time.monotonic()
+        if pace:
+            due = max(due + pace, now - pace)  # no attempt to catch up
+        else:
+            due = now + (ANSWER_WITHIN if robot.awaits_answer else _LONELY_POLL)
+        is_waiting = True
+        while is_waiting:
+            robot.listen(max(due - time.monotonic(), 0.0))
+            is_waiting = time.monotonic() < due and bool(pace or robot.awaits_answer)
 
 
 class Body(NamedTuple):
@@ -64,7 +102,8 @@ class SimulatedRobot:
         """Drive for a control period at wheel speeds, m/s, and measure."""
         fastest = self.robot.max_wheel_speed
         self.readings, truth = self._simulation.step([(left / fastest, right / fastest)])
-        self.pose, self._steps = truth.poses[0], self._steps + 1
+        self.pose = truth.poses[0]
+        self._steps += 1
 
 
 class Emulator(SimulatedRobot):
@@ -73,25 +112,20 @@ class Emulator(SimulatedRobot):
     """
 
     def __init__(self, body: Body) -> None:
-        robot = body.robot
-        if len(robot.beams) > MAX_BEAMS:
-            raise ValueError(
-                f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}"
-            )
+        beams = len(body.robot.beams)
+        if beams > MAX_BEAMS:
+            raise ValueError(f"the protocol has room for {MAX_BEAMS} beams, not for {beams}")
         super().__init__(body)
         _, boot = np.random.SeedSequence(body.seed).spawn(2)
         self._travel = np.zeros(2)
-        period = round(1e3 * robot.control_period)
-        number = int(boot.generate_state(1)[0])
-        beams = len(robot.beams)
         self.firmware = Firmware(
             Hello(
                 VERSION,
-                number,
+                int(boot.generate_state(1)[0]),
                 body.name,
                 beams,
                 NM_PER_TICK,
-                period,
+                round(1e3 * body.robot.control_period),
                 body.watchdog_ms,
                 body.token,
             )

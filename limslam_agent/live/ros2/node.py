@@ -9,7 +9,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
 from typing import Annotated, Any, NamedTuple
@@ -304,7 +304,7 @@ def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
     executor.add_node(handle)
 
     def listen() -> None:
-        with _ended(ExternalShutdownException):
+        with suppress(ExternalShutdownException):
             executor.spin()
 
     thread = threading.Thread(target=listen, name="ros2", daemon=True)
@@ -316,14 +316,6 @@ def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
         thread.join(5.0)
         handle.destroy_node()
         context.try_shutdown()
-
-
-@contextmanager
-def _ended(error: type[Exception]) -> Iterator[None]:
-    try:
-        yield
-    except error:
-        return
 
 
 def check_installed() -> None:

@@ -3,29 +3,23 @@ ROS is not needed.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from limslam_agent.output.formats.content import ExportedRun
+from limslam_agent.output.formats.content import ExportedRun, Readings
 from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, compose, inverse
-from limslam_env.interface import RobotSpec, SensorSpec
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 
-@dataclass(frozen=True)
-class _Told:
-    """A message with its topic and time."""
-
-    time: float
-    topic: str
-    content: Any
+_Told: TypeAlias = tuple[float, str, Any]
+"""The time of a message, its topic, and the message."""
 
 
 def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
@@ -40,12 +34,11 @@ def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
     types = get_typestore(Stores.ROS2_HUMBLE)
     with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[str, Any] = {}
-        for told in sorted(_Messages(types, exported).all(), key=lambda told: told.time):
-            kind = told.content.__msgtype__
-            if told.topic not in connections:
-                connections[told.topic] = writer.add_connection(told.topic, kind, typestore=types)
-            stamp = round(told.time * 1e9)
-            writer.write(connections[told.topic], stamp, types.serialize_cdr(told.content, kind))
+        for time, topic, content in sorted(_Messages(types, exported).all(), key=itemgetter(0)):
+            kind = content.__msgtype__
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=types)
+            writer.write(connections[topic], round(time * 1e9), types.serialize_cdr(content, kind))
     return [folder / "bag"]
 
 
@@ -60,48 +53,46 @@ class _Messages:
     def __init__(self, types: "Typestore", exported: ExportedRun) -> None:
         self._build = MessageBuilder(lambda kind, **fields: types.types[kind](**fields))
         self._exported = exported
-        self._end = float(exported.run.time[-1])
 
     def all(self) -> Iterator[_Told]:
         """All messages, in no order."""
         run = self._exported.run
+        build = self._build
+        end = float(run.time[-1])
         if self._exported.grid is not None:
-            yield _Told(self._end, "/map", self._build.grid(self._end, "map", self._exported.grid))
-        yield _Told(self._end, "/walls", self._build.walls(self._end, "map", run.segments))
+            yield end, "/map", build.grid(end, "map", self._exported.grid)
+        yield end, "/walls", build.walls(end, "map", run.segments)
         for number in range(len(run.estimated)):
             yield from self._of_robot(number, f"robot_{number}/" if len(run.estimated) > 1 else "")
 
     def _of_robot(self, number: int, prefix: str) -> Iterator[_Told]:
         run = self._exported.run
-        readings = self._exported.readings
-        base = f"{prefix}base_link"
-        odom = f"{prefix}odom"
-        estimated = run.estimated[number]
-        covariances = (
-            run.covariances[number] if run.covariances else np.zeros((len(run.time), 3, 3))
-        )
-        if readings is not None:
-            mounts = [
-                self._mount(base, f"{prefix}beam_{i}", beam)
-                for i, beam in enumerate(readings.robot.beams)
-            ]
-            yield _Told(
-                float(run.time[0]),
-                "/tf_static",
-                self._build.make("tf2_msgs/msg/TFMessage", transforms=mounts),
-            )
+        build = self._build
+        frames = (f"{prefix}odom", f"{prefix}base_link")
+        times = run.time.tolist()
+        unknown = np.zeros((len(times), 3, 3))
+        covariances = run.covariances[number] if run.covariances else unknown
+        if self._exported.readings is not None:
+            yield from self._readings(self._exported.readings, number, prefix)
         if run.odometry:
-            yield from self._odometry(run.odometry[number], estimated, prefix, odom, base)
-        for row, time in enumerate(run.time.tolist()):
-            pose = self._build.uncertain_pose(time, "map", estimated[row], covariances[row])
-            yield _Told(time, f"/{prefix}pose", pose)
-            if readings is not None:
-                yield from self._ranges(time, readings.ranges[row, number], readings.robot, prefix)
-        for kind, poses in self._exported.paths().items():
-            yield _Told(self._end, f"/{prefix}path/{kind}", self._path(poses[number]))
+            yield from self._odometry(run.odometry[number], run.estimated[number], prefix, frames)
+        for time, pose, covariance in zip(times, run.estimated[number], covariances, strict=True):
+            yield time, f"/{prefix}pose", build.uncertain_pose(time, "map", pose, covariance)
+        for kind, paths in self._exported.paths().items():
+            poses = [
+                build.make(
+                    "geometry_msgs/msg/PoseStamped",
+                    header=build.header(time, "map"),
+                    pose=build.pose(pose),
+                )
+                for time, pose in zip(times, paths[number], strict=True)
+            ]
+            header = build.header(times[-1], "map")
+            path = build.make("nav_msgs/msg/Path", header=header, poses=poses)
+            yield times[-1], f"/{prefix}path/{kind}", path
 
     def _odometry(
-        self, poses: FloatArray, estimated: FloatArray, prefix: str, odom: str, base: str
+        self, poses: FloatArray, estimated: FloatArray, prefix: str, frames: tuple[str, str]
     ) -> Iterator[_Told]:
         time = self._exported.run.time
         build = self._build
@@ -109,35 +100,27 @@ class _Messages:
         speeds = np.vstack((np.zeros((1, 3)), moves))
         corrections = compose(estimated, inverse(poses))
         for row, stamp in enumerate(time.tolist()):
-            yield _Told(
-                stamp,
-                f"/{prefix}odom",
-                build.odometry(stamp, (odom, base), poses[row], speeds[row]),
-            )
-            frames = [
-                build.transform(stamp, "map", odom, corrections[row]),
-                build.transform(stamp, odom, base, poses[row]),
+            odometry = build.odometry(stamp, frames, poses[row], speeds[row])
+            yield stamp, f"/{prefix}odom", odometry
+            transforms = [
+                build.transform(stamp, "map", frames[0], corrections[row]),
+                build.transform(stamp, *frames, poses[row]),
             ]
-            yield _Told(stamp, "/tf", build.make("tf2_msgs/msg/TFMessage", transforms=frames))
+            yield stamp, "/tf", build.make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
-    def _ranges(self, time: float, ranges: Any, robot: RobotSpec, prefix: str) -> Iterator[_Told]:
-        for number, (beam, reading) in enumerate(zip(robot.beams, ranges.tolist(), strict=True)):
-            name = f"{prefix}beam_{number}"
-            limits = (beam.min_range, beam.max_range)
-            yield _Told(time, f"/{name}", self._build.range(time, name, limits, reading))
-
-    def _path(self, poses: FloatArray) -> Any:
+    def _readings(self, readings: Readings, number: int, prefix: str) -> Iterator[_Told]:
+        """Where the beams of a robot are mounted, and what they have measured."""
         build = self._build
-        stamped = [
-            build.make(
-                "geometry_msgs/msg/PoseStamped",
-                header=build.header(time, "map"),
-                pose=build.pose(pose),
+        times = self._exported.run.time.tolist()
+        beams = [(f"{prefix}beam_{i}", beam) for i, beam in enumerate(readings.robot.beams)]
+        mounts = [
+            build.transform(
+                times[0], f"{prefix}base_link", name, np.array([beam.x, beam.y, beam.angle])
             )
-            for time, pose in zip(self._exported.run.time.tolist(), poses, strict=True)
+            for name, beam in beams
         ]
-        return build.make("nav_msgs/msg/Path", header=build.header(self._end, "map"), poses=stamped)
-
-    def _mount(self, base: str, frame: str, beam: SensorSpec) -> Any:
-        start = float(self._exported.run.time[0])
-        return self._build.transform(start, base, frame, np.array([beam.x, beam.y, beam.angle]))
+        yield times[0], "/tf_static", build.make("tf2_msgs/msg/TFMessage", transforms=mounts)
+        for time, ranges in zip(times, readings.ranges[:, number].tolist(), strict=True):
+            for (name, beam), reading in zip(beams, ranges, strict=True):
+                limits = (beam.min_range, beam.max_range)
+                yield time, f"/{name}", build.range(time, name, limits, reading)

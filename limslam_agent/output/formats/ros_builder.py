@@ -107,12 +107,11 @@ class MessageBuilder:
 
         A reading at or beyond the longest range becomes infinity, as REP 117 asks.
         """
-        infrared = 1
         seen = reading if reading < np.float32(limits[1]) or math.isnan(reading) else math.inf
         return self.make(
             "sensor_msgs/msg/Range",
             header=self.header(time, frame),
-            radiation_type=infrared,
+            radiation_type=1,  # infrared
             field_of_view=BEAM_WIDTH,
             min_range=limits[0],
             max_range=limits[1],

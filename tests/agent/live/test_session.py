@@ -279,6 +279,28 @@ def emulator():
         process.stdout.close()
 
 
+def explored(emulator, folder, *told):
+    """The end of the command that drives an emulated robot."""
+    port = free_port()
+    emulator("--udp", port)
+    return limslam("live", "--udp", port, "--preset", "consistent", "--out", folder, *told)
+
+
+def policy_file(folder, *lines):
+    """The name of a policy that drives ahead, with lines that each decision carries out."""
+    body = "".join(f"        {line}\n" for line in lines)
+    (folder / "mine.py").write_text(
+        "import signal\nfrom pathlib import Path\nimport numpy as np\n"
+        "class Mine:\n"
+        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
+        "    def act(self, belief):\n"
+        "        self.count += 1\n"
+        f"{body}"
+        "        return np.array([0.3, 0.25])\n"
+    )
+    return f"{folder / 'mine.py'}:Mine"
+
+
 def kill_after(process, truth, seconds):
     """Kill an emulator after some time of its own, which its file of true poses shows."""
 
@@ -430,43 +452,19 @@ def test_a_robot_is_driven_only_if_it_says_the_token(emulator, tmp_path):
 
 
 def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_path):
-    port = free_port()
-    policy = tmp_path / "mine.py"
-    policy.write_text(
-        "import numpy as np\n"
-        "class Fails:\n"
-        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
-        "    def act(self, belief):\n"
-        "        self.count += 1\n"
-        "        return np.array([0.3, 0.3]) / (self.count < 30)\n"
-    )
-    emulator("--udp", port)
-    told = ("--policy", f"{policy}:Fails", "--preset", "consistent", "--out", tmp_path / "room")
-    finished = limslam("live", "--udp", port, *told)
+    policy = policy_file(tmp_path, "np.array([0.3, 0.3]) / (self.count < 30)")
+    finished = explored(emulator, tmp_path / "room", "--policy", policy)
     assert finished.returncode == 2
-    assert "mine.py, line 6, in act" in finished.stderr.splitlines()[-1]
+    assert "mine.py, line 8, in act" in finished.stderr.splitlines()[-1]
     assert not (tmp_path / "room").exists()
     assert len(read_log(tmp_path / "room-log.npz")) >= 30
     assert "room-log.npz" in finished.stderr
 
 
 def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
-    port = free_port()
-    policy = tmp_path / "mine.py"
     folder = tmp_path / "room"
-    policy.write_text(
-        "import signal\nimport numpy as np\n"
-        "class Presses:\n"
-        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
-        "    def act(self, belief):\n"
-        "        self.count += 1\n"
-        "        if self.count == 40:\n"
-        "            signal.raise_signal(signal.SIGINT)\n"
-        "        return np.array([0.3, 0.25])\n"
-    )
-    emulator("--udp", port)
-    told = ("--policy", f"{policy}:Presses", "--preset", "consistent", "--out", folder)
-    finished = limslam("live", "--udp", port, *told)
+    policy = policy_file(tmp_path, "if self.count == 40: signal.raise_signal(signal.SIGINT)")
+    finished = explored(emulator, folder, "--policy", policy)
     assert finished.returncode == 0, finished.stderr
     assert "stopped     stopped by hand" in finished.stdout
     log = read_log(folder / "log.npz")
@@ -486,21 +484,11 @@ os.execv(sys.executable, [sys.executable, "-m", "limslam_agent", *sys.argv[1:]])
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no SIGHUP")
 def test_a_terminal_that_is_closed_stops_the_robot_and_keeps_its_whole_log(emulator, tmp_path):
     port = free_port()
-    policy = tmp_path / "mine.py"
     sign = tmp_path / "sign"
-    policy.write_text(
-        "from pathlib import Path\nimport numpy as np\n"
-        "class Drives:\n"
-        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
-        "    def act(self, belief):\n"
-        "        self.count += 1\n"
-        "        if self.count == 40:\n"
-        f"            Path({str(sign)!r}).touch()\n"
-        "        return np.array([0.3, 0.25])\n"
-    )
+    policy = policy_file(tmp_path, f"if self.count == 40: Path({str(sign)!r}).touch()")
     emulator("--udp", port)
     ours, its = os.openpty()
-    told = ("--policy", f"{policy}:Drives", "--preset", "consistent", "--out", tmp_path / "room")
+    told = ("--policy", policy, "--preset", "consistent", "--out", tmp_path / "room")
     command = [sys.executable, "-c", IN_A_TERMINAL, "live", "--udp", port, *told]
     process = subprocess.Popen(
         [*map(str, command)], stdin=its, stdout=its, stderr=its, start_new_session=True

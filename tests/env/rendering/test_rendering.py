@@ -18,6 +18,7 @@ from limslam_env import (
     RobotSpec,
     SensorSpec,
     World,
+    canvas,
     load_world,
 )
 from limslam_env.rendering import rendering
@@ -175,7 +176,7 @@ def is_like(pixels: np.ndarray, colour) -> np.ndarray:
     """Which pixels are nearer to a colour than to the floor: a thin line shares its pixels with
     it.
     """
-    paleness = np.abs(np.array(rendering._UNSEEN) - colour).sum()
+    paleness = np.abs(np.array(canvas.UNSEEN) - colour).sum()
     return np.abs(pixels - colour).sum(axis=1) < 0.6 * paleness
 
 
@@ -207,7 +208,7 @@ def test_beams_are_coloured_by_what_they_hit():
     ends = {}
     for hit, colour in (
         (-1, rendering._NO_HIT),
-        (4, rendering._WALL_HIT),
+        (4, canvas.BEAM),
         (-2, rendering._ROBOT_HIT),
     ):
         picture = render(state_of(hits=np.array([[hit]]), ranges=np.array([[1.2]])))
@@ -241,9 +242,9 @@ def test_an_overlay_is_drawn_where_it_says_and_only_there():
     picture = render(state_of(overlay=[overlay]))
     plain = render(state_of())
     for x, y in ((1.0, 2.5), (2.5, 2.55), (4.0, 2.6)):
-        assert shows(picture, x, y, rendering._BELIEF)
+        assert shows(picture, x, y, canvas.BELIEF)
     for x, y in overlay.frontier:
-        assert shows(picture, x, y, rendering._FRONTIER)
+        assert shows(picture, x, y, canvas.FRONTIER)
     for x, y in ((0.5, 5.25), (1.5, 5.5), (2.0, 5.5)):
         assert (colours_at(picture, x, y) != colours_at(plain, x, y)).any()
     for x, y in ((2.5, 2.8), (4.5, 4.9), (4.2, 4.5), (1.5, 5.2), (4.5, 2.6)):
@@ -262,8 +263,8 @@ def test_the_ellipse_holds_95_percent(turned):
     # 95 %.
     for axis, std in ((axes[0], 0.3), (-axes[0], 0.3), (axes[1], 0.1), (-axes[1], 0.1)):
         tip = np.array([1.0, 3.5]) + 2.448 * std * axis
-        assert shows(picture, *tip, rendering._BELIEF)
-        assert not shows(picture, *(tip + 0.06 * axis), rendering._BELIEF)
+        assert shows(picture, *tip, canvas.BELIEF)
+        assert not shows(picture, *(tip + 0.06 * axis), canvas.BELIEF)
 
 
 @pytest.mark.parametrize("far", [1e12])
@@ -277,7 +278,7 @@ def test_a_belief_that_is_far_off_is_drawn_as_far_as_it_can_be_seen(far):
     )
     picture = render(state_of(overlay=[lost]))
     plain = render(state_of())
-    assert shows(picture, 2.0, 5.0, rendering._BELIEF)
+    assert shows(picture, 2.0, 5.0, canvas.BELIEF)
     assert (colours_at(picture, 4.6, 2.5) != colours_at(plain, 4.6, 2.5)).any()
     np.testing.assert_array_equal(colours_at(picture, 0.5, 3.5), colours_at(plain, 0.5, 3.5))
 
@@ -297,9 +298,9 @@ def test_the_outside_of_a_building_is_no_floor():
     world = World("ell", (4.0, 4.0), outline(*corners)[1:], doors=np.array([[0.0, 0.0, 4.0, 0.0]]))
     picture = render(state_of((1.0, 1.0, 0.0), world=world))
     height, width = picture.shape[:2]
-    assert tuple(picture[int(0.3 * height), int(0.7 * width)]) == rendering._PAPER
-    assert tuple(picture[int(0.7 * height), int(0.7 * width)]) == rendering._UNSEEN
-    assert tuple(picture[int(0.3 * height), int(0.25 * width)]) == rendering._UNSEEN
+    assert tuple(picture[int(0.3 * height), int(0.7 * width)]) == canvas.PAPER
+    assert tuple(picture[int(0.7 * height), int(0.7 * width)]) == canvas.UNSEEN
+    assert tuple(picture[int(0.3 * height), int(0.25 * width)]) == canvas.UNSEEN
 
 
 QUIET = NoiseConfig(wheel_variance=0.0)
