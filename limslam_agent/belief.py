@@ -67,6 +67,18 @@ class Belief:
         moved. What a policy has settled there, such as places that cannot be reached, remains so.
     guesses
         Where a lost robot may be. Empty for a robot that is not lost.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_agent import Mapper
+    >>> env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02).unwrapped
+    >>> observation, info = env.reset(seed=0)
+    >>> mapper = Mapper(env.robot, start_pose=info["pose"])
+    >>> mapper.step(observation)
+    >>> mapper.belief.status.level, mapper.belief.pose.shape
+    ('ok', (3,))
     """
 
     pose: FloatArray

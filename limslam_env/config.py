@@ -79,6 +79,16 @@ class NoiseConfig:
         How fast it turns while the robot does not, rad/s.
     yaw_resolution
         Step in which it is given, rad; 0 is exact.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_env import NoiseConfig
+    >>> noise = NoiseConfig(sensor_noise=(0.01, 0.04), dropout=0.01, encoder_resolution=0.002)
+    >>> env = gym.make("LimSlam-Env2-v0", noise=noise)
+    >>> NoiseConfig.sharp().cone > 0.0
+    True
     """
 
     sensor_noise: Setting = 0.0
@@ -153,6 +163,13 @@ class RewardConfig:
         Reward of every step: a cost of time when negative.
     collision
         Reward of a step in contact: a cost when negative.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_env import RewardConfig
+    >>> env = gym.make("LimSlam-Env1-v0", rewards=RewardConfig(collision=-1.0))
     """
 
     new_area: float = 1.0

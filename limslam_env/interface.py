@@ -72,6 +72,12 @@ class Observation(TypedDict):
     travel give ``odometry`` (3,), the motion since the last observation in the robot's frame at
     that time (m, m, rad), and leave ``wheels`` out. ``yaw`` is the heading by an inertial
     measurement unit, rad, counter-clockwise in a frame of its own, NaN where it has no reading.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from limslam_env import Observation
+    >>> observation: Observation = {"ranges": np.full(6, 1.5), "wheels": np.array([0.02, 0.03])}
     """
 
     ranges: NotRequired[NDArray[np.floating[Any]]]
@@ -112,6 +118,14 @@ class SensorSpec:
         Steps between two measurements, and the first step after the reset in which the beam
         measures, below ``period``: it measures in the steps of which the remainder by ``period``
         is ``phase``. The last reading is repeated in between. At the reset, all beams measure.
+
+    Examples
+    --------
+    >>> import math
+    >>> from limslam_env import RobotSpec, SensorSpec
+    >>> robot = RobotSpec(beams=(SensorSpec(0.08, 0.03, math.radians(45.0), max_range=0.8),))
+    >>> robot.beams[0].side
+    'left'
     """
 
     x: float
@@ -200,6 +214,15 @@ class RobotSpec:
     cone
         Half the opening angle of the beams, rad, as the data sheet gives it: a beam reads the
         nearest of what lies inside it. 0 is a ray, as the beams of laser sensors nearly are.
+
+    Examples
+    --------
+    >>> from limslam_env import RobotSpec
+    >>> from limslam_env.interface import beams_on_rim
+    >>> beams = beams_on_rim((90, 0, -90), 0.07, max_range=1.2)
+    >>> robot = RobotSpec(radius=0.07, axle=0.12, max_wheel_speed=0.2, beams=beams)
+    >>> robot == RobotSpec.from_json(robot.to_json())
+    True
     """
 
     radius: float = 0.10
@@ -350,6 +373,12 @@ class NominalNoise:
     yaw_std
         Standard deviation of the turn by an inertial measurement unit, rad per square root of a
         second: its angle random walk.
+
+    Examples
+    --------
+    >>> from limslam_env import NominalNoise
+    >>> NominalNoise(range_std=0.02).wheel_variance
+    2e-05
     """
 
     range_std: float = 0.0

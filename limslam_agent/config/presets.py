@@ -109,6 +109,15 @@ class AgentConfig(Bounded):
     renewal
         When the line smoother also renews the online estimate of a single robot with wheel
         encoders. None for never.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from limslam_agent import AgentConfig
+    >>> from limslam_env import NominalNoise
+    >>> config = replace(AgentConfig(), noise=NominalNoise(0.02), smooths_runs=False)
+    >>> config.preset
+    'graph'
     """
 
     preset: str = DEFAULT_PRESET
@@ -162,6 +171,13 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
     ------
     ValueError
         If there is no such preset.
+
+    Examples
+    --------
+    >>> from limslam_agent import preset
+    >>> from limslam_env import NominalNoise
+    >>> preset("consistent", NominalNoise(range_std=0.02)).smooths_runs
+    False
     """
     if name not in ESTIMATORS:
         raise ValueError(f"no preset is called {described(name)}; there are {', '.join(PRESETS)}")
@@ -184,6 +200,12 @@ def with_until(config: AgentConfig, until: str) -> AgentConfig:
     ------
     ValueError
         If ``until`` is neither.
+
+    Examples
+    --------
+    >>> from limslam_agent import preset, with_until
+    >>> with_until(preset("graph"), "walls").policy.until
+    'walls'
     """
     return replace(config, policy=replace(config.policy, until=until))
 

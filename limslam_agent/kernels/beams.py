@@ -75,45 +75,44 @@ def line_in(lines: FloatArray, number: int) -> Line:
 
 
 @compiled
-def measuring_ray(
-    towards: tuple[float, float], normal: tuple[float, float], cone: float
-) -> tuple[float, float]:
-    """Direction of the ray that measures a line with this normal as a beam with half an opening
-    angle does.
-
-    A beam that grazes the line is a ray.
-    """
-    ux, uy = towards
-    nx, ny = normal
-    cosine = nx * ux + ny * uy
-    if cone == 0.0 or abs(cosine) <= GRAZING:
-        return towards
-    side = math.copysign(1.0, cosine)
-    sine = side * (ux * ny - uy * nx)
-    if abs(sine) <= math.sin(cone):
-        return side * nx, side * ny
-    turned = math.copysign(math.sin(cone), sine)
-    return math.cos(cone) * ux - turned * uy, math.cos(cone) * uy + turned * ux
-
-
-@compiled
-def ray_from(
-    pose: tuple[float, float, float], reading: FloatArray, normal: tuple[float, float]
-) -> Ray:
-    """The ray that measures a line with this normal as a reading's beam does from a pose, m, m,
-    rad.
-    """
+def ray_of(pose: tuple[float, float, float], reading: FloatArray) -> Ray:
+    """The middle of a reading's beam from a pose, m, m, rad."""
     x, y, heading = pose
     cos = math.cos(heading)
     sin = math.sin(heading)
     angle = heading + reading[2]
-    to_x, to_y = measuring_ray((math.cos(angle), math.sin(angle)), normal, reading[4])
     return Ray(
         x + (cos * reading[0] - sin * reading[1]),
         y + (sin * reading[0] + cos * reading[1]),
-        to_x,
-        to_y,
+        math.cos(angle),
+        math.sin(angle),
     )
+
+
+@compiled
+def measuring_ray(middle: Ray, normal: tuple[float, float], cone: float) -> Ray:
+    """The ray that measures a line with this normal as a beam with half an opening angle does."""
+    if cone == 0.0:
+        return middle
+    ux = middle.to_x
+    uy = middle.to_y
+    nx, ny = normal
+    side = math.copysign(1.0, nx * ux + ny * uy)
+    sine = side * (ux * ny - uy * nx)
+    if abs(sine) <= math.sin(cone):
+        return Ray(middle.x, middle.y, side * nx, side * ny)
+    cos = math.cos(cone)
+    sin = math.copysign(math.sin(cone), sine)
+    return Ray(middle.x, middle.y, cos * ux - sin * uy, cos * uy + sin * ux)
+
+
+@compiled
+def wall_ray(middle: Ray, normal: tuple[float, float], cone: float) -> Ray:
+    """:func:`measuring_ray` of readings that are compared with lines. A beam that grazes the line
+    is a ray.
+    """
+    cosine = normal[0] * middle.to_x + normal[1] * middle.to_y
+    return measuring_ray(middle, normal, cone) if abs(cosine) > GRAZING else middle
 
 
 @compiled
@@ -121,11 +120,9 @@ def read_share(cosine: float, cone: float) -> float:
     """The share of its distance that a wall reads, given the cosine between the middle of the beam
     and the wall's normal.
     """
-    if cone == 0.0 or abs(cosine) <= GRAZING:
-        return 1.0
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    measured, _ = measuring_ray((cosine, sine), (1.0, 0.0), cone)
-    return cosine / measured
+    measured = measuring_ray(Ray(0.0, 0.0, cosine, sine), (1.0, 0.0), cone)
+    return cosine / measured.to_x
 
 
 @compiled
@@ -160,7 +157,7 @@ def predict_range(
     """Set a row (7,) to what is predicted for a reading of a line from a pose, m, m, rad."""
     nx = line.normal_x
     ny = line.normal_y
-    ray = ray_from(pose, reading, (nx, ny))
+    ray = wall_ray(ray_of(pose, reading), (nx, ny), reading[4])
     distance, along, cosine = meeting(ray, line)
     turning = (
         (pose[1] - ray.y) * nx
@@ -218,18 +215,25 @@ def end_of_ray(ray: Ray, length: float) -> tuple[float, float]:
     return ray.x + length * ray.to_x, ray.y + length * ray.to_y
 
 
+@compiled
+def end_on_wall(
+    pose: tuple[float, float, float], reading: FloatArray, normal: tuple[float, float], reach: float
+) -> tuple[float, float]:
+    """Where a reading from a pose, m, m, rad, ends on a wall with this normal at a range, m."""
+    return end_of_ray(wall_ray(ray_of(pose, reading), normal, reading[4]), reach)
+
+
 @entry
 def ends_of_beams(
     x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float
 ) -> FloatArray:
-    """End points (n, 2), m, of readings on a line with its normal at ``theta``, rad; of the middle
+    """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; of the middle
     of beams if NaN.
     """
     points = np.empty((len(places), 2))
-    # No beam is turned towards a normal of length zero.
-    normal = (0.0, 0.0) if math.isnan(theta) else (math.cos(theta), math.sin(theta))
+    # No beam is turned towards a normal that is no number.
+    normal = (math.cos(theta), math.sin(theta))
     for i in range(len(places)):
         at = start + POSE * places[i]
-        ray = ray_from((x[at], x[at + 1], x[at + 2]), readings[i], normal)
-        points[i] = end_of_ray(ray, readings[i, 3])
+        points[i] = end_on_wall((x[at], x[at + 1], x[at + 2]), readings[i], normal, readings[i, 3])
     return points

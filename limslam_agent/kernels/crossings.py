@@ -52,15 +52,12 @@ def choose_lines(
         misfits[i, 1] = math.inf
         for number in range(len(lines)):
             line = line_in(lines, number)
-            normal = (line.normal_x, line.normal_y)
-            to_x, to_y = measuring_ray((ray.to_x, ray.to_y), normal, cone)
-            distance, along, cosine = meeting(Ray(ray.x, ray.y, to_x, to_y), line)
+            if abs(line.normal_x * ray.to_x + line.normal_y * ray.to_y) <= GRAZING:
+                continue
+            measuring = measuring_ray(ray, (line.normal_x, line.normal_y), cone)
+            distance, along, cosine = meeting(measuring, line)
             side = 0 if cosine < 0.0 else 1
-            if (
-                abs(cosine) <= GRAZING
-                or distance <= 0.0
-                or not ends[number, side, 0] <= along <= ends[number, side, 1]
-            ):
+            if distance <= 0.0 or not ends[number, side, 0] <= along <= ends[number, side, 1]:
                 continue
             misfit = abs(distance - rays[i, RAY_LENGTH])
             if misfit < misfits[i, 0]:

@@ -6,12 +6,13 @@ frame in a map places all of them.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.algebra import factorise, solve_factored, wrapped
-from limslam_agent.kernels.beams import Line, Ray, end_of_ray, meeting, passes, read_share
+from limslam_agent.kernels.beams import Ray, end_of_ray, line_in, meeting, passes, read_share
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.readings import normal_density
 from limslam_agent.kernels.tables import (
@@ -41,34 +42,38 @@ _ROUNDS = 8
 _FAR = 0.30
 _NEAR = 0.12
 _DAMPING = 1.0  # of a round of a refinement, in rays
-_START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)  # columns of a table of walls
+_LENGTH = 5  # column of a table of walls, after the fields of a ``Line``
 
 
-@compiled
-def fill_table(segments: FloatArray, table: FloatArray) -> None:
-    """Set rows (k, 5) to walls (k, 4), m: start, m, unit vector along the wall, and length, m."""
-    for wall in range(len(segments)):
-        x = segments[wall, 2] - segments[wall, 0]
-        y = segments[wall, 3] - segments[wall, 1]
-        length = math.hypot(x, y)
-        table[wall, _START_X] = segments[wall, 0]
-        table[wall, _START_Y] = segments[wall, 1]
-        table[wall, _LENGTH] = length
-        table[wall, _TANGENT_X] = x / max(length, 1e-9)
-        table[wall, _TANGENT_Y] = y / max(length, 1e-9)
+class Known(NamedTuple):
+    """What readings are compared with.
 
-
-@compiled
-def crossing(ray: Ray, wall: FloatArray) -> tuple[float, float, float]:
-    """Where a beam meets the line of a wall: how far along the beam, m, how far beyond the wall's
-    ends, m, and cosine.
-
-    The position is negative between the ends. The cosine, without sign, is that of the angle
-    between the beam and the wall's normal.
+    Attributes
+    ----------
+    walls
+        Rows (k, 6) of the lines of walls about their first ends, and their lengths, m.
+    values, low, cell
+        Values (rows, columns) of cells, positive if free, the lower left corner (2,) of the first
+        one, and the length of a side, m.
+    variance, turning
+        Variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
+    cone
+        Half the opening angle of the beams, rad.
     """
-    line = Line(0.0, wall[_TANGENT_Y], -wall[_TANGENT_X], wall[_START_X], wall[_START_Y])
-    distance, along, cosine = meeting(ray, line)
-    return distance, max(-along, along - wall[_LENGTH]), abs(cosine)
+
+    walls: FloatArray
+    values: NDArray[np.int16]
+    low: FloatArray
+    cell: float
+    variance: float
+    turning: float
+    cone: float
+
+
+@compiled
+def spread(known: Known, distance: float) -> float:
+    """Standard deviation of a wall at a distance, both m."""
+    return math.sqrt(known.variance + known.turning * distance**2)
 
 
 @compiled
@@ -82,45 +87,38 @@ def wall_evidence(length: float, reach: float, wall: float, std: float) -> float
 
 
 @compiled
-def free_length(
-    ray: Ray,
-    longest: float,
-    values: NDArray[np.int16],
-    low: FloatArray,
-    cell: float,
-) -> tuple[float, int]:
+def cell_value(known: Known, x: float, y: float) -> int:
+    """The value of the cell of a point, m; 0 outside of the grid, as of an unknown one."""
+    row = math.floor((y - known.low[1]) / known.cell)
+    column = math.floor((x - known.low[0]) / known.cell)
+    if 0 <= row < known.values.shape[0] and 0 <= column < known.values.shape[1]:
+        return int(known.values[row, column])
+    return 0
+
+
+@compiled
+def free_length(ray: Ray, longest: float, known: Known) -> tuple[float, int]:
     """How far along a ray all cells are free, up to a longest distance, m, and the value of the
     cell that ends it.
 
-    The value is that of a free cell if none ends it. Cells outside of the grid are unknown.
+    The value is that of a free cell if none ends it.
     """
-    for step in range(math.ceil(2.0 * longest / cell)):
-        along = 0.5 * step * cell
-        row = math.floor((ray.y + along * ray.to_y - low[1]) / cell)
-        column = math.floor((ray.x + along * ray.to_x - low[0]) / cell)
-        if not (0 <= row < values.shape[0] and 0 <= column < values.shape[1]):
-            return along, 0
-        if values[row, column] <= 0:
-            return along, int(values[row, column])
+    for step in range(math.ceil(2.0 * longest / known.cell)):
+        along = 0.5 * step * known.cell
+        value = cell_value(known, ray.x + along * ray.to_x, ray.y + along * ray.to_y)
+        if value <= 0:
+            return along, value
     return longest, 1
 
 
 @compiled
-def is_inside(
-    x: float, y: float, values: NDArray[np.int16], low: FloatArray, cell: float, around: int
-) -> bool:
+def is_inside(x: float, y: float, known: Known, around: int) -> bool:
     """Whether a point (m) lies in a free cell, and all cells up to a number of cells around it are
     free.
     """
-    row = math.floor((y - low[1]) / cell)
-    column = math.floor((x - low[0]) / cell)
-    if not (
-        around <= row < values.shape[0] - around and around <= column < values.shape[1] - around
-    ):
-        return False
     for down in range(-around, around + 1):
         for right in range(-around, around + 1):
-            if values[row + down, column + right] <= 0:
+            if cell_value(known, x + right * known.cell, y + down * known.cell) <= 0:
                 return False
     return True
 
@@ -129,36 +127,34 @@ def is_inside(
 def explain(
     length: float,
     reach: float,
-    wall: float,
-    cosine: float,
+    wall: tuple[float, float, float],
     free: float,
     ends_at: int,
-    spread: tuple[float, float],
+    known: Known,
 ) -> tuple[float, float, bool]:
     """The evidence of a reading for a map against a random place, where it contradicts the map, and
     whether it might.
 
     The second number is the distance at which it contradicts the map, m: at a wall that it has
     passed, or where it ended in free ground. It is 0 if it contradicts nothing. The first wall is
-    at the distance ``wall``, m, with this cosine between the ray and its normal; cells are ``free``
-    so far, m, and then have the value ``ends_at``. ``spread`` is the variance of the distance to a
-    wall, m^2, and how it grows with the squared distance, rad^2.
+    that of :func:`first_wall`; cells are ``free`` so far, m, and then have the value ``ends_at``.
     """
-    if wall < reach and wall <= free + _UNSEEN:
+    distance, cosine, _ = wall
+    if distance < reach and distance <= free + _UNSEEN:
         steep = max(cosine, _STEEPEST)
-        across = math.sqrt(spread[0] + spread[1] * wall**2)
+        across = spread(known, distance)
         std = across / steep
-        is_short = length < min(wall, free) - _BESIDE - THROUGH_SIGMAS * std
-        is_through = passes(wall, steep, length - _BESIDE, THROUGH_SIGMAS * across)
-        against = length if is_short else wall if is_through else 0.0
-        return wall_evidence(length, reach, wall, std), against, True
+        is_short = length < min(distance, free) - _BESIDE - THROUGH_SIGMAS * std
+        is_through = passes(distance, steep, length - _BESIDE, THROUGH_SIGMAS * across)
+        against = length if is_short else distance if is_through else 0.0
+        return wall_evidence(length, reach, distance, std), against, True
     if free >= reach - 0.05:
         is_empty = length > reach - 0.1
         likelihood = (1.0 - UNRELATED) / NOTHING if is_empty else UNRELATED
         return math.log(likelihood), 0.0 if is_empty else length, True
     if free <= 0.0:
         return 0.0, 0.0, False
-    if length < free - _BESIDE - THROUGH_SIGMAS * math.sqrt(spread[0] + spread[1] * free**2):
+    if length < free - _BESIDE - THROUGH_SIGMAS * spread(known, free):
         return math.log(UNRELATED), length, True
     # Beyond known ground, a reading is no surprise at a random place either: it mostly goes on
     # along what the beam saw before, and not each of many such readings is news.
@@ -170,153 +166,85 @@ def explain(
 
 
 @compiled
-def weigh_ray(
-    ray: Ray,
-    length: float,
-    reach: float,
-    walls: FloatArray,
-    values: NDArray[np.int16],
-    low: FloatArray,
-    cell: float,
-    spread: tuple[float, float],
-    cone: float,
-) -> tuple[float, float, bool]:
+def first_wall(ray: Ray, known: Known, beyond: float) -> tuple[float, float, float]:
+    """The distance at which a beam first reads a wall that it meets at most so far beyond its ends,
+    both m, the cosine between the beam and the wall's normal, and how far beyond the ends that is.
+
+    The distance is infinite without a wall.
+    """
+    nearest = math.inf
+    steepness = 1.0
+    farthest = -math.inf
+    for number in range(len(known.walls)):
+        distance, along, cosine = meeting(ray, line_in(known.walls, number))
+        outside = max(-along, along - known.walls[number, _LENGTH])
+        if distance < 0.0 or outside >= beyond or abs(cosine) <= GRAZING:
+            continue
+        distance *= read_share(cosine, known.cone)
+        if distance < nearest:
+            nearest = distance
+            steepness = abs(cosine)
+            farthest = outside
+    return nearest, steepness, farthest
+
+
+@compiled
+def weigh_ray(ray: Ray, length: float, reach: float, known: Known) -> tuple[float, float, bool]:
     """The evidence of a reading for a map, at what distance it contradicts the map, m, and whether
     it might do so.
 
-    The distance is 0 if it does not. ``spread`` is that of :func:`explain`.
+    The distance is 0 if it does not.
     """
-    longer = math.inf
-    shorter = math.inf
-    cosine_longer = 1.0
-    cosine_shorter = 1.0
-    for wall in range(len(walls)):
-        distance, beyond, cosine = crossing(ray, walls[wall])
-        if distance < 0.0 or beyond >= _OVER or cosine <= GRAZING:
-            continue
-        distance *= read_share(cosine, cone)
-        if distance < longer:
-            longer = distance
-            cosine_longer = cosine
-        if distance < shorter and beyond < -_INSET:
-            shorter = distance
-            cosine_shorter = cosine
-    free, ends_at = free_length(ray, reach, values, low, cell)
-    evidence, against, is_tested = explain(
-        length, reach, longer, cosine_longer, free, ends_at, spread
-    )
-    if shorter != longer:
-        other, against_other, _ = explain(
-            length, reach, shorter, cosine_shorter, free, ends_at, spread
-        )
+    longer = first_wall(ray, known, _OVER)
+    shorter = longer if longer[2] < -_INSET else first_wall(ray, known, -_INSET)
+    free, ends_at = free_length(ray, reach, known)
+    evidence, against, is_tested = explain(length, reach, longer, free, ends_at, known)
+    if shorter[0] != longer[0]:
+        other, against_other, _ = explain(length, reach, shorter, free, ends_at, known)
         evidence = max(evidence, other)
         against = against if against_other > 0.0 else 0.0
-    if against > 0.0 and length < min(reach, shorter - _BESIDE):
+    if against > 0.0 and length < min(reach, shorter[0] - _BESIDE):
         # It ended before the wall, if there is one. A wall that was not drawn yet may be near, or
         # beside a wide beam.
-        around = 1 + int(length * math.sin(cone) / cell)
-        if not is_inside(
-            ray.x + length * ray.to_x, ray.y + length * ray.to_y, values, low, cell, around
-        ):
+        around = 1 + int(length * math.sin(known.cone) / known.cell)
+        x, y = end_of_ray(ray, length)
+        if not is_inside(x, y, known, around):
             evidence = max(evidence, 0.0)
             against = 0.0
     return evidence, against, is_tested
 
 
 @compiled
-def placed_ray(x0: float, y0: float, cos: float, sin: float, rays: FloatArray, number: int) -> Ray:
-    """A ray, moved by a pose at (x0, y0), m, with this cosine and sine
-    of its heading.
-    """
+def placed_ray(pose: FloatArray, turn: tuple[float, float], rays: FloatArray, number: int) -> Ray:
+    """A ray of a table, moved by a pose (3,) with this cosine and sine of its heading."""
+    cos, sin = turn
     x = rays[number, RAY_X]
     y = rays[number, RAY_Y]
     ux = rays[number, RAY_TO_X]
     uy = rays[number, RAY_TO_Y]
     return Ray(
-        x0 + cos * x - sin * y, y0 + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
+        pose[0] + cos * x - sin * y,
+        pose[1] + sin * x + cos * y,
+        cos * ux - sin * uy,
+        sin * ux + cos * uy,
     )
 
 
 @lean_entry
-def weigh_poses(
-    poses: FloatArray,
-    rays: FloatArray,
-    segments: FloatArray,
-    walls: FloatArray,
-    values: NDArray[np.int16],
-    low: FloatArray,
-    cell: float,
-    spread: tuple[float, float],
-    cone: float,
-    evidence: FloatArray,
-    counts: IntArray,
-) -> None:
-    """Find the evidence of rays for poses of their frame in a map.
-
-    Set are the logarithm of the likelihood ratio ``evidence`` (m,) of each of the poses (m, 3) and
-    of a random place, and the numbers of rays ``counts`` (m, 2), of (n, 7), that contradict the
-    map, and that could have done so. The map is walls (k, 4), m, and cells (rows, columns),
-    positive if free, with the lower left corner ``low`` (2,), m. ``spread`` is that of
-    :func:`explain`, ``cone`` is half the opening angle of the beams, rad, and ``walls`` (k, 5) is
-    scratch.
+def weigh_rays(poses: FloatArray, rays: FloatArray, known: Known, weights: FloatArray) -> None:
+    """Set ``weights`` (m, n, 3) to what :func:`weigh_ray` says of rays (n, 7) for each of the poses
+    (m, 3) of their frame in a map.
     """
-    fill_table(segments, walls)
     for number in range(len(poses)):
-        total = 0.0
-        against = 0
-        tested = 0
-        x = poses[number, 0]
-        y = poses[number, 1]
-        cos = math.cos(poses[number, 2])
-        sin = math.sin(poses[number, 2])
+        turn = (math.cos(poses[number, 2]), math.sin(poses[number, 2]))
         for i in range(len(rays)):
-            found, distance, is_tested = weigh_ray(
-                placed_ray(x, y, cos, sin, rays, i),
-                rays[i, RAY_LENGTH],
-                rays[i, RAY_REACH],
-                walls,
-                values,
-                low,
-                cell,
-                spread,
-                cone,
-            )
-            total += found
-            against += distance > 0.0
-            tested += is_tested
-        evidence[number] = total
-        counts[number, 0] = against
-        counts[number, 1] = tested
-
-
-@lean_entry
-def weigh_rays(
-    rays: FloatArray,
-    segments: FloatArray,
-    walls: FloatArray,
-    values: NDArray[np.int16],
-    low: FloatArray,
-    cell: float,
-    spread: tuple[float, float],
-    cone: float,
-    found: FloatArray,
-) -> None:
-    """Set rows (n, 3) to what :func:`weigh_ray` finds for rays (n, 7) in the frame of the map.
-
-    The other arguments are those of :func:`weigh_poses`.
-    """
-    fill_table(segments, walls)
-    for i in range(len(rays)):
-        ray = Ray(rays[i, RAY_X], rays[i, RAY_Y], rays[i, RAY_TO_X], rays[i, RAY_TO_Y])
-        found[i, 0], found[i, 1], found[i, 2] = weigh_ray(
-            ray, rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell, spread, cone
-        )
+            ray = placed_ray(poses[number], turn, rays, i)
+            row = weights[number, i]
+            row[0], row[1], row[2] = weigh_ray(ray, rays[i, RAY_LENGTH], rays[i, RAY_REACH], known)
 
 
 @compiled
-def nearest_offset(
-    x: float, y: float, walls: FloatArray, most: float
-) -> tuple[float, float, float]:
+def nearest_wall(x: float, y: float, walls: FloatArray, most: float) -> tuple[float, float, float]:
     """Normal of the nearest wall within a distance (m) of a point, and the way along it to the
     wall, m.
 
@@ -326,18 +254,17 @@ def nearest_offset(
     normal_y = 0.0
     offset = 0.0
     least = most**2
-    for wall in range(len(walls)):
-        away_x = x - walls[wall, 0]
-        away_y = y - walls[wall, 1]
-        tangent_x = walls[wall, 2]
-        tangent_y = walls[wall, 3]
-        length = walls[wall, 4]
-        along = min(max(away_x * tangent_x + away_y * tangent_y, 0.0), length)
-        squared = (away_x - along * tangent_x) ** 2 + (away_y - along * tangent_y) ** 2
+    for number in range(len(walls)):
+        wall = line_in(walls, number)
+        away_x = x - wall.anchor_x
+        away_y = y - wall.anchor_y
+        along = away_y * wall.normal_x - away_x * wall.normal_y
+        along = min(max(along, 0.0), walls[number, _LENGTH])
+        squared = (away_x + along * wall.normal_y) ** 2 + (away_y - along * wall.normal_x) ** 2
         if squared < least:
             least = squared
-            normal_x = -tangent_y
-            normal_y = tangent_x
+            normal_x = wall.normal_x
+            normal_y = wall.normal_y
             offset = -(normal_x * away_x + normal_y * away_y)
     return normal_x, normal_y, offset
 
@@ -357,23 +284,18 @@ def add_residuals(
 
     The lower triangle of the matrix counts.
     """
-    x0 = pose[0]
-    y0 = pose[1]
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
+    turn = (math.cos(pose[2]), math.sin(pose[2]))
     for number in range(len(rays)):
-        ray = placed_ray(x0, y0, cos, sin, rays, number)
+        ray = placed_ray(pose, turn, rays, number)
         length = rays[number, RAY_LENGTH]
         end_x, end_y = end_of_ray(ray, length)
-        normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
+        normal_x, normal_y, offset = nearest_wall(end_x, end_y, walls, most)
         if cone > 0.0 and (normal_x != 0.0 or normal_y != 0.0):
             # The middle of a wide beam meets the wall farther away than the beam reads.
             length /= read_share(normal_x * ray.to_x + normal_y * ray.to_y, cone)
             end_x, end_y = end_of_ray(ray, length)
-            normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
-        x = end_x - x0
-        y = end_y - y0
-        row = normal_x, normal_y, normal_y * x - normal_x * y
+            normal_x, normal_y, offset = nearest_wall(end_x, end_y, walls, most)
+        row = normal_x, normal_y, normal_y * (end_x - pose[0]) - normal_x * (end_y - pose[1])
         for i in range(3):
             vector[i] += row[i] * offset
             for j in range(i + 1):
@@ -384,20 +306,18 @@ def add_residuals(
 def refine_poses(
     poses: FloatArray,
     rays: FloatArray,
-    segments: FloatArray,
-    cone: float,
     walls: FloatArray,
+    cone: float,
     matrix: FloatArray,
     vector: FloatArray,
 ) -> None:
-    """Move poses (m, 3), so that the ends of rays (n, 7) lie on walls (k, 4), m: least squares of
-    their distances.
+    """Move poses (m, 3), so that the ends of rays (n, 7) lie on walls (k, 6): least squares of
+    their distances, m.
 
     The steps are damped. Walls that are not quite parallel, as those of a corridor in a map, would
     otherwise let a pose slide along them. ``cone`` (rad) is half the opening angle of the beams.
-    The last three arguments, (k, 5), (3, 3), (3,), are scratch.
+    The last two arguments, (3, 3), (3,), are scratch.
     """
-    fill_table(segments, walls)
     for number in range(len(poses)):
         for turn in range(_ROUNDS):
             for i in range(3):

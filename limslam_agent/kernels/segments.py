@@ -20,7 +20,7 @@ from limslam_agent.kernels.algebra import (
     sort_with,
     whiten,
 )
-from limslam_agent.kernels.beams import end_of_ray, line_about, predict_ranges, ray_from
+from limslam_agent.kernels.beams import end_on_wall, line_about, predict_ranges
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import dense_block
 from limslam_agent.kernels.lines import fit_line
@@ -161,8 +161,7 @@ def place_along(
         if done < len(clear) and clear[done] == i:
             reach = expected[done, 0]
             done = done + 1
-        ray = ray_from((x[at], x[at + 1], x[at + 2]), readings[read], (cos, sin))
-        hit_x, hit_y = end_of_ray(ray, reach)
+        hit_x, hit_y = end_on_wall((x[at], x[at + 1], x[at + 2]), readings[read], (cos, sin), reach)
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
 
 

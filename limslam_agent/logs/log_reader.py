@@ -34,7 +34,7 @@ def read_log(
     table: TableOptions | None = None,
     missing: str = "auto",
 ) -> RecordedLog:
-    """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a
+    r"""Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a
     CARMEN log.
 
     Parameters
@@ -68,6 +68,19 @@ def read_log(
         If the file cannot be used, or a choice does not apply to its format.
     ValueError
         If ``missing`` is unknown.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from limslam_agent import read_log
+    >>> rows = [f"{0.1 * i},{0.02 * i},0.0,0.0,0.8,1.1,0.9" for i in range(60)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder) / "drive.csv"
+    ...     _ = table.write_text("t,x,y,theta,r_90,r_0,r_-90\n" + "\n".join(rows))
+    ...     log = read_log(table)
+    >>> len(log), log.robot.max_ranges.tolist()
+    (60, [3.0, 3.0, 3.0])
     """
     log = _as_reported(path, beams_deg, max_range, topics, table)
     return log if missing == "auto" else log.taken(missing)

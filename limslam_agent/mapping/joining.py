@@ -26,7 +26,7 @@ from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import SmoothedRun
+    from limslam_agent.slam.line_graph.run import SmoothedRun
 
 NOT_YET_JOINED = Status(
     "unsure", "the second robot's place relative to the first one is not known yet"
@@ -310,7 +310,8 @@ class JoiningMapper(Mapper):
         that fails.
         """
         # The kernels of the smoother load numba, which takes time that other commands do not need.
-        from limslam_agent.slam.line_graph.smoother import beside, smooth_with_unknown_start
+        from limslam_agent.slam.line_graph.run import beside
+        from limslam_agent.slam.line_graph.smoother import smooth_with_unknown_start
 
         first, second = (
             run_of(mapper.slam, self.config, mapper.drive.scans) for mapper in self._alone

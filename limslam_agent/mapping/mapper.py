@@ -60,6 +60,17 @@ class MapSnapshot:
         The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
     grid
         Occupancy grid.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from limslam_agent import Mapper
+    >>> from limslam_env import RobotSpec
+    >>> mapper = Mapper(RobotSpec())
+    >>> mapper.step({"ranges": np.full(6, 1.5), "wheels": np.zeros(2)})
+    >>> snapshot = mapper.snapshot()
+    >>> snapshot.poses.shape, snapshot.segments.shape
+    ((1, 3), (0, 4))
     """
 
     poses: FloatArray
@@ -128,6 +139,21 @@ class Mapper:
     ValueError
         If a start pose has another shape or is not finite, or an earlier map does not go with the
         other settings.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_agent import Mapper, preset
+    >>> env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02).unwrapped
+    >>> observation, info = env.reset(seed=0)
+    >>> mapper = Mapper(env.robot, preset("consistent", env.nominal_noise), info["pose"])
+    >>> for _ in range(50):
+    ...     mapper.step(observation)
+    ...     observation, *_ = env.step([0.5, 0.5])
+    >>> mapper.finish()
+    >>> mapper.belief.segments.shape[1]
+    4
     """
 
     is_apart = False

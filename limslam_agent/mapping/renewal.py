@@ -25,7 +25,7 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import FilteredRun
+    from limslam_agent.slam.line_graph.run import FilteredRun
 
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
@@ -36,7 +36,7 @@ def run_of(
 ) -> "FilteredRun":
     """Steps of a robot as the smoother takes them, with what else is ``known`` of the run."""
     # The kernels of the smoother load numba, which takes time that short drives do not need.
-    from limslam_agent.slam.line_graph.smoother import FilteredRun
+    from limslam_agent.slam.line_graph.run import FilteredRun
 
     seen = [scan.observation for scan in scans]
     ranges = np.array([scan.ranges for scan in scans])[:, None]

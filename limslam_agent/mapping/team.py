@@ -92,6 +92,18 @@ class LimSlamTeam:
     ------
     ValueError
         If there is no robot, or not one policy for each robot.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import limslam_env
+    >>> from limslam_agent import LimSlamTeam
+    >>> env = limslam_env.parallel_env(world="env1", num_robots=2, sensor_noise=0.02)
+    >>> observations, infos = env.reset(seed=0)
+    >>> team = LimSlamTeam(env.robot, num_robots=2)
+    >>> team.reset(np.array([infos[name]["pose"] for name in team.names]), seed=0)
+    >>> sorted(team.act(observations))
+    ['robot_0', 'robot_1']
     """
 
     def __init__(
@@ -294,6 +306,20 @@ class LimSlamAgent:
     policy
         Chooses the actions. By default the agent explores the nearest frontier. A policy that is
         given serves for one run.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_agent import LimSlamAgent, preset
+    >>> env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02).unwrapped
+    >>> observation, info = env.reset(seed=0)
+    >>> agent = LimSlamAgent(env.robot, preset("graph", env.nominal_noise))
+    >>> agent.reset(info["pose"], seed=0)
+    >>> for _ in range(20):
+    ...     observation, *_ = env.step(agent.act(observation))
+    >>> agent.done
+    False
     """
 
     def __init__(

@@ -142,6 +142,21 @@ def save_map(
         If the number of paths is not that of the robots.
     OSError
         If a file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import numpy as np
+    >>> from limslam_agent import Mapper, save_map
+    >>> from limslam_env import RobotSpec
+    >>> mapper = Mapper(RobotSpec())
+    >>> for _ in range(100):
+    ...     mapper.step({"ranges": np.full(6, 0.8), "wheels": np.array([0.02, 0.02])})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     save_map(folder, mapper.snapshot())
+    ...     sorted(path.name for path in Path(folder).iterdir())
+    ['map.json', 'map.pgm', 'map.png', 'map.yaml']
     """
     from limslam_agent.output.drawing import draw_map
     from limslam_agent.output.map_picture import MapPicture

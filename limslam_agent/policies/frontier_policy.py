@@ -52,6 +52,12 @@ class FrontierPolicy(MapExplorer):
     ----------
     robot, config
         Body and settings. Those of the paper's robot and the default settings if left out.
+
+    Examples
+    --------
+    >>> from limslam_agent import LimSlamAgent, FrontierPolicy
+    >>> from limslam_env import RobotSpec
+    >>> agent = LimSlamAgent(RobotSpec(), policy=FrontierPolicy(RobotSpec()))
     """
 
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None) -> None:

@@ -33,6 +33,18 @@ class Policy(Protocol):
         Why the policy has stopped, in words. None while the policy is active.
     plan
         The path (k, 2), m, that the policy intends to drive. May be empty.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from limslam_agent import LimSlamAgent
+    >>> from limslam_env import RobotSpec
+    >>> class Circle:
+    ...     stop_reason = None
+    ...     plan = np.zeros((0, 2))
+    ...     def act(self, belief):
+    ...         return np.array([0.4, 0.5])
+    >>> agent = LimSlamAgent(RobotSpec(), policy=Circle())
     """
 
     stop_reason: str | None

@@ -50,6 +50,13 @@ class Laps:
         Corners of the loop (k, 2), m, in driving order.
     laps
         Number of laps.
+
+    Examples
+    --------
+    >>> from limslam_agent import Laps, LimSlamAgent
+    >>> from limslam_env import RobotSpec, load_world
+    >>> policy = Laps(RobotSpec(), load_world("square").loop, laps=4)
+    >>> agent = LimSlamAgent(RobotSpec(), policy=policy)
     """
 
     def __init__(self, robot: RobotSpec, corners: FloatArray, laps: int) -> None:
@@ -141,6 +148,12 @@ class WallFollower(ReactivePolicy):
     ----------
     robot, config
         Body and settings. Those of the paper's robot and the default settings if left out.
+
+    Examples
+    --------
+    >>> from limslam_agent import LimSlamAgent, WallFollower
+    >>> from limslam_env import RobotSpec
+    >>> agent = LimSlamAgent(RobotSpec(), policy=WallFollower(RobotSpec()))
     """
 
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None) -> None:
@@ -199,6 +212,12 @@ class RandomPolicy(ReactivePolicy):
         Body and settings. Those of the paper's robot and the default settings if left out.
     seed
         Seed of the random numbers, or a generator.
+
+    Examples
+    --------
+    >>> from limslam_agent import LimSlamAgent, RandomPolicy
+    >>> from limslam_env import RobotSpec
+    >>> agent = LimSlamAgent(RobotSpec(), policy=RandomPolicy(RobotSpec(), seed=3))
     """
 
     def __init__(

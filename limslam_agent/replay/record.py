@@ -19,7 +19,7 @@ from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import FilteredRun
+    from limslam_agent.slam.line_graph.run import FilteredRun
     from limslam_agent.slam.map_graph.key_poses import LogData
     from limslam_agent.slam.map_graph.stages import GraphResult
 

@@ -33,7 +33,7 @@ def replay_log(
     report: Callable[[str], None] | None = None,
     prior_map: SavedMap | None = None,
 ) -> Replay:
-    """Map from a log, event by event, as if the robot were driving now.
+    r"""Map from a log, event by event, as if the robot were driving now.
 
     Parameters
     ----------
@@ -49,6 +49,20 @@ def replay_log(
     prior_map
         The map of an earlier run, in which the log begins at an unknown place. Only for logs of
         wheel travel.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from limslam_agent import preset, read_log, replay_log
+    >>> rows = [f"{0.1 * i},{0.02 * i},0.0,0.0,0.8,1.1,0.9" for i in range(60)]
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder) / "drive.csv"
+    ...     _ = table.write_text("t,x,y,theta,r_90,r_0,r_-90\n" + "\n".join(rows))
+    ...     log = read_log(table)
+    >>> replay = replay_log(log, preset("consistent"))
+    >>> replay.estimated.shape
+    (60, 3)
     """
     report = report or (lambda _: None)
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)

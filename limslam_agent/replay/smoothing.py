@@ -23,7 +23,8 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.slam.line_graph.run import FilteredRun, SmoothedRun
+from limslam_agent.slam.line_graph.smoother import smooth_run
 from limslam_agent.slam.map_graph.chunk_graph import KEPT
 from limslam_agent.slam.map_graph.key_poses import LogData, odometry_trajectory
 from limslam_agent.slam.map_graph.point_links import PointCloud, point_cloud
@@ -201,7 +202,7 @@ def smoothed_by_lines(
         status = places.doubt
     smoothed = Smoothed(
         found.poses[:, 0],
-        _line_figures(found, has_heading=run.has_headings),
+        _line_figures(found, has_heading=run.headings is not None),
         time.process_time() - begin,
         run.synchronous.until(placed),
         covariances=found.covariances[:, 0],

@@ -85,6 +85,13 @@ def evaluate(
         If the environment does not exist, or the actor cannot act in it (because it was made for
         another robot or trained on other observations, for example), or an answer of the actor is
         not an action.
+
+    Examples
+    --------
+    >>> from limslam_agent import evaluate
+    >>> results = evaluate("wall_follower", "LimSlam-Env1-v0", seeds=1, max_time=5.0)
+    >>> 0.0 < results[0]["coverage_true"] < 1.0
+    True
     """
     _check(actor, env_id, max_time, preset)
     seeds = _seeds(seeds)
@@ -111,6 +118,12 @@ def medians(results: Sequence[Result]) -> dict[str, float | None]:
 
     A time that was never reached counts as later than all others. If half of the times were not
     reached, the median is None. For other metrics, episodes without the metric are ignored.
+
+    Examples
+    --------
+    >>> from limslam_agent import medians
+    >>> medians([{"coverage_true": 0.5}, {"coverage_true": 0.9}, {"coverage_true": 0.8}])
+    {'coverage_true': 0.8}
     """
     columns: dict[str, list[float]] = {}
     for result in results:

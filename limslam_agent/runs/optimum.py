@@ -13,8 +13,9 @@ import numpy as np
 
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.graph.graph import DegenerateError
+from limslam_agent.slam.line_graph.association import relabelled, solve_labels
 from limslam_agent.slam.line_graph.problem import ASIDE_STD, Problem, make_problem, state_from_poses
-from limslam_agent.slam.line_graph.reassociation import solve_again, solve_labels
+from limslam_agent.slam.line_graph.run import FilteredRun
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
@@ -57,18 +58,19 @@ def offline_optimum(
     poses
         Or None, if no wall has enough readings.
     """
-    problem = make_problem(robot, noise, true[0], wheels, ranges, wall_seen >= 0)
-    problem = _with_contact(problem, noise.wheel_variance, contact)
+    covariances = np.zeros((*true.shape, 3))
+    run = FilteredRun(robot, noise, wheels, ranges, wall_seen >= 0, true, covariances)
+    problem = _with_contact(make_problem(run), run, contact)
     steps = len(true)
     number, step = np.divmod(problem.readings.places, steps)
     walls = wall_seen[step, number, problem.readings.beams]
     try:
-        found = solve_labels(problem, state_from_poses(problem, true), walls)
+        found = solve_labels(problem, state_from_poses(true), walls)
         # A solution ends before it has converged to the last digit, and finds grazing readings by
         # the poses before it.
         for _ in range(_MOST_SOLUTIONS):
             before = found.state.poses
-            found = solve_again(problem, found.state, found.labels)
+            found = relabelled(found, found.labels)
             if np.abs(found.state.poses - before).max() < _CONVERGED:
                 break
     except DegenerateError:
@@ -76,13 +78,18 @@ def offline_optimum(
     return np.moveaxis(found.state.poses, 0, 1)
 
 
-def _with_contact(problem: Problem, wheel_variance: float, contact: BoolArray) -> Problem:
+def _with_contact(problem: Problem, run: FilteredRun, contact: BoolArray) -> Problem:
     """The problem with motions that are as exact as the wheels, except where a robot touches
     something.
     """
-    travel = np.abs(problem.wheels)
-    stds = np.sqrt(wheel_variance * travel + LEAST_VARIANCE)
-    stds[..., 2] = ASIDE_STD
+    travel = np.abs(np.moveaxis(run.wheels, 0, 1)[:, 1:])
+    stds = np.sqrt(run.noise.wheel_variance * travel + LEAST_VARIANCE)
     touching = np.moveaxis(contact, 0, 1)[:, 1:, None]
     stds = np.where(touching, np.maximum(stds, travel.max(axis=-1, keepdims=True)), stds)
-    return replace(problem, roots=np.eye(3) / stds[..., None])
+    aside = np.where(touching[..., 0], np.maximum(ASIDE_STD, travel.max(axis=-1)), ASIDE_STD)
+    # The roots of the inverse covariances of motions, by those of the wheels.
+    half = 0.5 * run.robot.axle
+    by_motion = np.array([[1.0, 0.0, -half], [1.0, 0.0, half], [0.0, 1.0, 0.0]])
+    return replace(
+        problem, roots=by_motion / np.concatenate((stds, aside[..., None]), axis=-1)[..., None]
+    )

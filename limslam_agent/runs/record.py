@@ -24,7 +24,7 @@ from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.world import World
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import SmoothedRun
+    from limslam_agent.slam.line_graph.run import SmoothedRun
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,11 +142,8 @@ class Episode:
         if settings is None or self.in_prior_map or self.placed_robots < self.config.robots:
             return None
         # The kernels of the smoother load numba, which takes time that other commands do not need.
-        from limslam_agent.slam.line_graph.smoother import (
-            FilteredRun,
-            smooth_run,
-            smooth_with_unknown_start,
-        )
+        from limslam_agent.slam.line_graph.run import FilteredRun
+        from limslam_agent.slam.line_graph.smoother import smooth_run, smooth_with_unknown_start
 
         places, (poses, covariances) = self.places, self.revised
         run = FilteredRun(

@@ -12,11 +12,11 @@ is tested by a sequential test of their rate (A. Wald, "Sequential tests of stat
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X, UNRELATED
@@ -31,7 +31,7 @@ _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen f
 _RIGHT = 0.005
 _WRONG = 0.12
 _PLACE = 0.3  # m: contradictions less far apart may have one cause
-_WALL_COLUMNS = 5
+_SHORTEST = 1e-9  # m: a shorter wall has no direction
 _SLIPS = np.radians(np.arange(-28.0, 29.0, 4.0))  # turns that the wheels may miss, rad
 _DEVIATIONS = (
     -2.0,
@@ -192,20 +192,9 @@ class KnownMap:
 
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
         """How well rays (n, 7) fit the map, for poses (m, 3) of their frame."""
-        from limslam_agent.kernels.rays import weigh_poses
-
-        evidence = np.empty(len(poses))
-        counts = np.empty((len(poses), 2), dtype=np.int64)
-        weigh_poses(
-            np.ascontiguousarray(poses),
-            rays,
-            self.segments,
-            *self._as_arrays,
-            (self._variance(rays), 0.0),
-            float(self.sensor.cone),
-            evidence,
-            counts,
-        )
+        weights = self._weights(poses, rays)
+        evidence = weights[..., 0].sum(axis=1)
+        counts = np.count_nonzero(weights[..., 1:], axis=1)
         return [
             PlaceFit(*each)
             for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)
@@ -217,61 +206,63 @@ class KnownMap:
         ``covariance`` (3, 3) is that of the poses of the robot relative to the map; zero without
         it.
         """
-        from limslam_agent.kernels.rays import weigh_rays
-
-        near = self._variance(rays)
-        turning = 0.0
-        if covariance is not None:
-            near = near + float(covariance[0, 0] + covariance[1, 1])
-            turning = float(covariance[2, 2])
-        found = np.empty((len(rays), 3))
-        weigh_rays(
-            rays, self.segments, *self._as_arrays, (near, turning), float(self.sensor.cone), found
-        )
-        return Explained(found[:, 0], found[:, 1], found[:, 2] > 0.0)
+        weights = self._weights(np.zeros((1, 3)), rays, covariance)[0]
+        return Explained(weights[:, 0], weights[:, 1], weights[:, 2] > 0.0)
 
     def refined(self, poses: FloatArray, rays: FloatArray) -> FloatArray:
         """Poses (m, 3), moved so that the ends of the rays (n, 7) lie on walls."""
         from limslam_agent.kernels.rays import refine_poses
 
         ended = rays[have_ended(rays)]
-        walls = np.empty((len(self.segments), _WALL_COLUMNS))
         # Poses of the middle of the rays, which a turn leaves where it is.
         middle = np.array([*rays[:, RAY_X:RAY_TO_X].mean(axis=0), 0.0])
         ended[:, RAY_X:RAY_TO_X] -= middle[:2]
         placed = compose(poses, middle)
-        refine_poses(
-            placed,
-            ended,
-            self.segments,
-            float(self.sensor.cone),
-            walls,
-            np.empty((3, 3)),
-            np.empty(3),
-        )
+        cone = float(self.sensor.cone)
+        refine_poses(placed, ended, self._walls, cone, np.empty((3, 3)), np.empty(3))
         return np.asarray(compose(placed, -middle))
 
     def fit_here(self, rays: FloatArray) -> PlaceFit:
         """How well rays (n, 7) fit the map where they are."""
         return self.weigh(np.zeros((1, 3)), rays)[0]
 
-    @property
-    def _as_arrays(self) -> tuple[FloatArray, NDArray[np.int16], FloatArray, float]:
-        """Scratch for the walls, and the grid's values, corner and cell, as the kernels take
-        them.
+    @cached_property
+    def _walls(self) -> FloatArray:
+        """The walls (k, 6) as the kernels take them."""
+        starts = self.segments[:, :2]
+        along = self.segments[:, 2:] - starts
+        lengths = np.hypot(*along.T)
+        x, y = along.T / np.maximum(lengths, _SHORTEST)
+        return np.column_stack((np.zeros(len(starts)), y, -x, starts, lengths))
+
+    def _weights(
+        self, poses: FloatArray, rays: FloatArray, covariance: FloatArray | None = None
+    ) -> FloatArray:
+        """What the map says of rays (n, 7) at poses (m, 3) of their frame: rows (m, n, 3) of
+        ``kernels.rays.weigh_ray``.
         """
+        from limslam_agent.kernels.rays import Known, weigh_rays
+
         grid = self.grid
-        # One kind of array, or the kernels would be compiled for each kind.
-        values = np.array(grid.values) if not grid.values.flags.writeable else grid.values
-        return (
-            np.empty((len(self.segments), _WALL_COLUMNS)),
-            values,
+        variance = _MAP_STD**2
+        variance += self.sensor.usual_std(float(rays[:, RAY_REACH].max(initial=0.0))) ** 2
+        turning = 0.0
+        if covariance is not None:
+            variance += float(covariance[0, 0] + covariance[1, 1])
+            turning = float(covariance[2, 2])
+        known = Known(
+            self._walls,
+            # One kind of array, or the kernels would be compiled for each kind.
+            np.require(grid.values, requirements="W"),
             np.asarray(grid.low),
             float(grid.cell),
+            variance,
+            turning,
+            float(self.sensor.cone),
         )
-
-    def _variance(self, rays: FloatArray) -> float:
-        return _MAP_STD**2 + self.sensor.usual_std(float(rays[:, RAY_REACH].max(initial=0.0))) ** 2
+        weights = np.empty((len(poses), len(rays), 3))
+        weigh_rays(np.ascontiguousarray(poses), rays, known, weights)
+        return weights
 
 
 class NearFit(NamedTuple):

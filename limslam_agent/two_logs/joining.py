@@ -15,7 +15,8 @@ from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.replay.record import Replay
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.replay.smoothing import draw_grid
-from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, smooth_with_unknown_start
+from limslam_agent.slam.line_graph.run import FilteredRun, beside
+from limslam_agent.slam.line_graph.smoother import smooth_with_unknown_start
 from limslam_agent.slam.map_graph.stages import Report, saying
 from limslam_agent.status.known_map import MATCH_COVARIANCE
 from limslam_agent.status.status import Status, smoothed_status

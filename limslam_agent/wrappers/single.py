@@ -76,6 +76,16 @@ class SlamObservation(
     ------
     ValueError
         If the size is below 1, the environment has no `robot`, or its observation has another form.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_agent import SlamObservation
+    >>> env = SlamObservation(gym.make("LimSlam-Env1-v0", sensor_noise=0.02))
+    >>> observation, info = env.reset(seed=0)
+    >>> observation["grid"].shape, info["status"]
+    ((1, 40, 40), 'ok')
     """
 
     def __init__(

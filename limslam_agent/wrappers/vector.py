@@ -51,6 +51,17 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     ValueError
         If the size is below 1, the environments are on a GPU, one of them has no `robot`, its
         observation has another form, or the estimator is not the consistent one.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_agent import SlamVectorObservation
+    >>> envs = gym.make_vec("LimSlam-Env1-v0", num_envs=4, sensor_noise=0.02)
+    >>> envs = SlamVectorObservation(envs)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations["grid"].shape
+    (4, 1, 40, 40)
     """
 
     def __init__(

@@ -111,6 +111,16 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
         If an argument is out of bounds.
     WorldError
         If the world cannot be used.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02)
+    >>> observation, info = env.reset(seed=0)
+    >>> observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    >>> observation["ranges"].shape, observation["wheels"].shape
+    ((6,), (2,))
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)

@@ -72,6 +72,16 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         If an argument is out of bounds.
     WorldError
         If the world cannot be used.
+
+    Examples
+    --------
+    >>> from limslam_env import LimSlamParallelEnv
+    >>> env = LimSlamParallelEnv("env1", num_robots=2, sensor_noise=0.02)
+    >>> observations, infos = env.reset(seed=0)
+    >>> actions = {name: env.action_space(name).sample() for name in env.agents}
+    >>> observations, rewards, terminations, truncations, infos = env.step(actions)
+    >>> list(rewards)
+    ['robot_0', 'robot_1']
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)
@@ -179,10 +189,27 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
 
 
 def parallel_env(world: PlaceSource = "env1", **arguments: Any) -> LimSlamParallelEnv:
-    """PettingZoo's parallel environment; ``arguments`` are those of :class:`LimSlamParallelEnv`."""
+    """PettingZoo's parallel environment; ``arguments`` are those of :class:`LimSlamParallelEnv`.
+
+    Examples
+    --------
+    >>> import limslam_env
+    >>> env = limslam_env.parallel_env(world="square", num_robots=3)
+    >>> env.possible_agents
+    ['robot_0', 'robot_1', 'robot_2']
+    """
     return LimSlamParallelEnv(world, **arguments)
 
 
 def aec_env(world: PlaceSource = "env1", **arguments: Any) -> AECEnv[str, Observation, Action]:
-    """The same, one robot acting after the other, as PettingZoo's AEC interface has it."""
+    """The same, one robot acting after the other, as PettingZoo's AEC interface has it.
+
+    Examples
+    --------
+    >>> import limslam_env
+    >>> env = limslam_env.aec_env(world="square", num_robots=2)
+    >>> env.reset(seed=0)
+    >>> env.agent_selection
+    'robot_0'
+    """
     return parallel_to_aec(LimSlamParallelEnv(world, **arguments))

@@ -81,6 +81,17 @@ class LimSlamVectorEnv(
 
     ## Version History
     * v0: first release.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> envs = gym.make_vec("LimSlam-Random-v0", num_envs=8, plans=2, sensor_noise=0.02)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations, rewards, *_ = envs.step(envs.action_space.sample())
+    >>> observations["ranges"].shape, rewards.shape
+    ((8, 6), (8,))
+    >>> envs.close()
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -225,6 +236,16 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
     possible_agents, agents
         Names of the robots. All of them act at each step: episodes end for all robots of an
         environment at once.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from limslam_env import LimSlamParallelVectorEnv
+    >>> envs = LimSlamParallelVectorEnv("env1", num_envs=4, num_robots=2)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> observations, *_ = envs.step({name: np.full((4, 2), 0.5) for name in envs.agents})
+    >>> observations["robot_1"]["ranges"].shape
+    (4, 6)
     """
 
     def __init__(
@@ -314,5 +335,12 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
 def parallel_vector_env(world: BatchSource = "env1", **arguments: Any) -> LimSlamParallelVectorEnv:
     """A batch of environments for several robots; ``arguments`` are those of
     :class:`LimSlamParallelVectorEnv`.
+
+    Examples
+    --------
+    >>> import limslam_env
+    >>> envs = limslam_env.parallel_vector_env(world="square", num_robots=2, num_envs=16)
+    >>> envs.num_envs
+    16
     """
     return LimSlamParallelVectorEnv(world, **arguments)

@@ -29,6 +29,19 @@ class Overlay:
     ------
     ValueError
         If a shape is wrong, a number is not finite, or a covariance has no pose.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import numpy as np
+    >>> import limslam_env
+    >>> from limslam_env import Overlay
+    >>> env = gym.make("LimSlam-Env1-v0", render_mode="rgb_array")
+    >>> _, info = env.reset(seed=0)
+    >>> walls = np.array([[0.0, 0.0, 7.0, 0.0]])
+    >>> env.unwrapped.overlay = Overlay(pose=info["pose"], segments=walls)
+    >>> env.render().shape
+    (640, 640, 3)
     """
 
     pose: FloatArray | None = None

@@ -58,6 +58,15 @@ class World:
     notes
         What the reader of a file has to say about it, one line each. They are no part of the world:
         worlds that differ in them only are equal.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_env import World
+    >>> corners = [[0, 0, 3, 0], [3, 0, 3, 2], [3, 2, 0, 2], [0, 2, 0, 0]]
+    >>> room = World("room", (3.0, 2.0), corners, starts=[[1.0, 1.0, 0.0]])
+    >>> env = gym.make("LimSlam-World-v0", world=room)
     """
 
     name: str

@@ -5,7 +5,9 @@ each reading.
 import numpy as np
 from support.drives import ROBOT, along, drive, ranges_at, room
 
-from limslam_agent.slam.line_graph.problem import make_problem, moved
+from limslam_agent.slam.line_graph.problem import make_problem
+from limslam_agent.slam.line_graph.problem import state_from_motions as state_from
+from limslam_agent.slam.line_graph.run import FilteredRun
 from limslam_env import NominalNoise
 
 WALLS = room(0.0, 0.0, 3.0, 2.4)
@@ -41,10 +43,17 @@ def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS,
     3).
     """
     wheels, ranges, poses = noisy_drive(seed, noise, mismatch, robots, walls, places)
-    starts = np.tile(START, (robots, 1))
-    return make_problem(
-        ROBOT, NominalNoise(noise, WHEEL_VARIANCE), starts, wheels, ranges, prior=prior
-    ), poses
+    filtered = np.moveaxis(poses, 0, 1)
+    run = FilteredRun(
+        ROBOT,
+        NominalNoise(noise, WHEEL_VARIANCE),
+        wheels,
+        ranges,
+        np.ones(ranges.shape, dtype=bool),
+        filtered,
+        np.zeros((*filtered.shape, 3)),
+    )
+    return make_problem(run, prior), poses
 
 
 def true_labels(problem, poses, walls=WALLS):
@@ -69,6 +78,4 @@ def state_from_motions(problem):
     """The state without lines that follows from the reported wheel travel, and from where robots
     were carried.
     """
-    nothing = np.zeros((0, 2))
-    calibration = np.zeros((len(problem.starts), 5))
-    return moved(problem, problem.motions(calibration), nothing, nothing, calibration)
+    return state_from(problem.starts, problem.motions + problem.jumps)

@@ -78,6 +78,12 @@ class LearnedPolicy(FrontierPolicy):
     ----------
     plan
         Path to the present frontier (k, 2), m. Empty while the network drives.
+
+    Examples
+    --------
+    >>> from limslam_agent import LimSlamAgent, LearnedPolicy
+    >>> from limslam_env import RobotSpec
+    >>> agent = LimSlamAgent(RobotSpec(), policy=LearnedPolicy(RobotSpec(), seed=3))
     """
 
     def __init__(

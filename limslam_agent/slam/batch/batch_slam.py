@@ -95,6 +95,18 @@ class BatchSlam:
     ValueError
         If the settings name another estimator or always calibrate the odometry, or a number is too
         small.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> import limslam_env
+    >>> from limslam_agent import BatchSlam
+    >>> envs = gym.make_vec("LimSlam-Env1-v0", num_envs=4, sensor_noise=0.02)
+    >>> observations, infos = envs.reset(seed=0)
+    >>> slam = BatchSlam(envs.unwrapped.robot, num_envs=4)
+    >>> slam.reset(infos["pose"])
+    >>> slam.step(observations["ranges"], observations["wheels"]).pose.shape
+    (4, 3)
     """
 
     def __init__(

@@ -158,15 +158,13 @@ class Contacts:
 def slip_covariances(
     robot: RobotSpec, std: float, wheels: FloatArray, ranges: FloatArray, measured: BoolArray
 ) -> FloatArray:
-    """Covariances (n, t, 3, 3) of the slip by contact in the motions of a drive of n robots, m^2.
+    """Covariances (n, t, 3, 3) of the slip by contact in the motions of a drive of n robots, m and
+    rad.
 
-    They are of left and right wheel's travel and of the motion aside. The wheels travel (n, t, 2),
-    m. The readings (t + 1, n, n_beams), m, of which some were ``measured``, begin before the first
+    They are of the motion ahead and aside and of the turn. The wheels travel (n, t, 2), m. The
+    readings (t + 1, n, n_beams), m, of which some were ``measured``, begin before the first
     motion, and ``std`` is the standard deviation of a range, m.
     """
-    by_increment = np.array(
-        [[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]]
-    )
     found = np.zeros((*wheels.shape[:2], 3, 3))
     for number in np.flatnonzero((measured & (ranges <= robot.too_near)).any(axis=(0, 2))).tolist():
         contacts = Contacts(robot, std)
@@ -176,7 +174,5 @@ def slip_covariances(
                 ahead, ranges[motion + 1, number], measured[motion + 1, number]
             )
             if variance:
-                found[number, motion] = (
-                    by_increment @ slip_covariance(variance, angle) @ by_increment.T
-                )
+                found[number, motion] = slip_covariance(variance, angle)
     return found

@@ -204,48 +204,54 @@ def calibrated(motion: Motion, axle: float, calibration: Calibration) -> Motion:
     ahead = x * math.cos(half) + y * math.sin(half)
     driven = math.copysign(math.hypot(x, y), ahead) * (half / math.sin(half) if half else 1.0)
     if isinstance(calibration, HeadingCalibration):
-        distance, turned, by_errors = _by_heading(motion, driven, calibration)
+        own = motion.turn or Turn(turn, 0.0)
+        measured = (own.measured, own.seconds)
+        distance, turned, by_errors = corrected_heading(driven, own.angle, measured, calibration)
+        if not motion.has_turned:
+            by_errors[1][1] = 0.0
     else:
-        distance, turned, by_errors = _by_wheels(motion, driven, axle, calibration)
+        distance, turned, by_errors = corrected_wheels(driven, turn, axle, calibration)
+        if not motion.has_turned:
+            by_errors[1] = corrected_wheels(driven, 0.0, axle, calibration)[2][1]
     increment = motion.increment
     if any(calibration):
         # The motion of a log need not be an arc that wheels can drive.
         increment = arc(distance, turned) + (increment - arc(driven, turn))
-    by_calibration = arc_jacobian(distance, turned) @ by_errors
+    by_calibration = arc_jacobian(distance, turned) @ np.array(by_errors)
     return replace(motion, increment=increment, by_calibration=by_calibration)
 
 
-def _by_wheels(
-    motion: Motion, driven: float, axle: float, calibration: OdometryCalibration
-) -> tuple[float, float, FloatArray]:
-    """Corrected distance, m, and turn, rad, and their derivatives (2, 3) by the calibration."""
-    left = calibration.left
-    right = calibration.right
-    turn = motion.increment.item(2)
+def corrected_wheels(
+    driven: Any, turn: Any, axle: float, calibration: Sequence[Any]
+) -> tuple[Any, Any, list[list[Any]]]:
+    """Distance, m, and turn, rad, of arcs without the errors (3,) of both wheels and of the axle,
+    m, and their derivatives (2, 3) by these errors; numbers or arrays.
+    """
+    left, right, wide = calibration
     size = 1.0 + 0.5 * (left + right)
     uneven = right - left
-    wider = 1.0 + calibration.axle
+    wider = 1.0 + wide
     lever = 0.25 * axle * turn
     drift = driven / axle
     distance = size * driven + uneven * lever
     turned = (size * turn + uneven * drift) / wider
-    sure, sure_turned = (turn, turned) if motion.has_turned else (0.0, uneven * drift / wider)
     by_errors = [
         [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
-        [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
+        [(0.5 * turn - drift) / wider, (0.5 * turn + drift) / wider, -turned / wider],
     ]
-    return distance, turned, np.array(by_errors)
+    return distance, turned, by_errors
 
 
-def _by_heading(
-    motion: Motion, driven: float, calibration: HeadingCalibration
-) -> tuple[float, float, FloatArray]:
-    """The same for a robot with a heading sensor."""
-    turn = Turn(motion.increment.item(2), 0.0) if motion.turn is None else motion.turn
-    turned = turn.angle + calibration.scale * turn.measured - calibration.drift * turn.seconds
-    sure = turn.measured if motion.has_turned else 0.0
-    by_errors = np.array([[driven, 0.0, 0.0], [0.0, sure, -turn.seconds]])
-    return (1.0 + calibration.size) * driven, turned, by_errors
+def corrected_heading(
+    driven: Any, turn: Any, measured: tuple[Any, Any], calibration: Sequence[Any]
+) -> tuple[Any, Any, list[list[Any]]]:
+    """The same without the errors (3,) of the wheels and of a heading sensor, which has measured a
+    turn, rad, for some time, s.
+    """
+    size, scale, drift = calibration
+    angle, seconds = measured
+    by_errors = [[driven, 0.0, 0.0], [0.0, angle, -seconds]]
+    return (1.0 + size) * driven, turn + scale * angle - drift * seconds, by_errors
 
 
 def motion_of(

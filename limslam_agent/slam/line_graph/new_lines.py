@@ -29,30 +29,22 @@ _MAX_ANGLE_STD = math.radians(12.0)  # of a new line
 _FITS = 3  # of a line to its readings, which are chosen anew for each
 
 
-def with_new_lines(
-    problem: Problem, state: State, labels: IntArray, unexplained: IntArray
-) -> IntArray:
-    """Labels (k,) with new lines of the readings ``unexplained`` (u,), which are numbered after the
-    state's lines.
-    """
-    readings = problem.readings
-    beams = problem.beams[unexplained]
-    places = readings.places[unexplained]
-    distances = problem.true(readings.distances[unexplained], places, state.calibration)
-    rays = state.rays(places, beams, distances)
+def faces(problem: Problem, state: State, unexplained: IntArray) -> list[IntArray]:
+    """The readings of each new line, among those that no line explains (u,)."""
+    places = problem.readings.places[unexplained]
+    distances = problem.true(problem.readings, state.calibration)[unexplained]
+    rays = state.rays(places, problem.beams[unexplained], distances)
     ahead = rays[:, 2:4]
     points = rays[:, :2] + distances[:, None] * ahead
     pairs = cKDTree(points).query_pairs(_JOINED, output_type="ndarray")
     near = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(points), len(points)))
     count, group = connected_components(near, directed=False)
-    result = labels.copy()
-    number = len(state.lines)
     order = np.argsort(group, kind="stable")
-    for members in np.split(order, np.searchsorted(group[order], np.arange(1, count))):
-        for face in _faces(points[members], ahead[members], problem.range_std):
-            result[unexplained[members[face]]] = number
-            number += 1
-    return result
+    return [
+        unexplained[members[face]]
+        for members in np.split(order, np.searchsorted(group[order], np.arange(1, count)))
+        for face in _faces(points[members], ahead[members], problem.range_std)
+    ]
 
 
 def _faces(points: FloatArray, ahead: FloatArray, std: float) -> list[IntArray]:

@@ -17,12 +17,13 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.kernels.beams import line_table, predict_readings
 from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
-from limslam_agent.slam.core.motion import LEAST_VARIANCE
+from limslam_agent.slam.core.motion import LEAST_VARIANCE, corrected_heading, corrected_wheels
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.turn_meter import turns_of
-from limslam_agent.slam.line_graph.factors import drive, motions_between
+from limslam_agent.slam.line_graph.motions import drive, motion_jacobians, motions_between
+from limslam_agent.slam.line_graph.run import FOUND_STDS, FilteredRun
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = AgentConfig.min_range_std
@@ -117,32 +118,29 @@ class Problem:
 
     robot: RobotSpec  # body and beams of each robot. The beams are those that are assumed.
     starts: FloatArray  # known poses (n, 3) of the first step, m and rad
-    # wheels, roots: reported motions (n, t - 1, 3), m, of which the last column is the motion
-    # aside, and roots (n, t - 1, 3, 3) of their inverse covariances
-    wheels: FloatArray
+    # motions, roots: reported motions (n, t - 1, 3), which are not aside, and roots (n, t - 1, 3,
+    # 3) of their inverse covariances
+    motions: FloatArray
     roots: FloatArray
+    # jumps: motions (n, t - 1, 3) of carried robots, of which nothing is reported, else 0
+    jumps: FloatArray
     # readings, looks: the readings of walls; and these with the beams that met no wall, each with
     # the length of its free path
     readings: Readings
     looks: Readings
     # how the ranges are measured, which are corrected for it. A calibration is what is left.
     sensor: RangeSensor
-    # the ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them
-    ticks: FloatArray
+    # covariances (n, t, 3, 3) of the poses, in their frames, about what was reported
+    own_jitters: FloatArray
     prior: FloatArray | None = None  # inverse covariance of a robot's calibration, or None
-    # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot
-    # was carried
-    jumps: FloatArray | None = None
-    # turns, heading_jitters: of robots with heading sensors, the turns (n, t - 1, 2) that these
-    # have measured, rad, and for how long, s, both 0 where the wheels give the turn; and the
-    # variances (n, t) of the headings about the sum of all turns, rad^2
+    # turns: of robots with heading sensors, the turns (n, t - 1, 2) that these have measured, rad,
+    # and for how long, s, both 0 where the wheels give the turn
     turns: FloatArray | None = None
-    heading_jitters: FloatArray | None = None
 
     @property
     def steps(self) -> int:
         """Number of steps t."""
-        return int(self.wheels.shape[1]) + 1
+        return int(self.motions.shape[1]) + 1
 
     @cached_property
     def beams(self) -> FloatArray:
@@ -172,24 +170,20 @@ class Problem:
         turns[..., 0, 0] = turns[..., 1, 1] = np.cos(state.poses[..., 2])
         turns[..., 1, 0] = np.sin(state.poses[..., 2])
         turns[..., 0, 1] = -turns[..., 1, 0]
-        own = np.array([jitter_of(ticks, self.robot.axle) for ticks in self.ticks])[:, None]
-        if self.heading_jitters is not None:
-            own = np.tile(np.diag([1.0, 1.0, 0.0]) * own, (1, self.steps, 1, 1))
-            own[..., 2, 2] = self.heading_jitters
-        return np.asarray(turns @ own @ np.swapaxes(turns, -1, -2))
+        return np.asarray(turns @ self.own_jitters @ np.swapaxes(turns, -1, -2))
 
     @cached_property
     def stds(self) -> FloatArray:
         """Standard deviation of each reading (k,) by its sensor, m."""
         return np.maximum(self.sensor.stds(self.readings.distances), LEAST_RANGE_STD)
 
-    def variances(self, state: "State", found: Expected) -> FloatArray:
+    def variances(self, state: "State", expected: Expected) -> FloatArray:
         """Variance of each reading (k,), m^2, by the sensor and by the jitter of its pose, from
         what it should be.
         """
         jitters = self.jitters(state).reshape(-1, 3, 3)[self.readings.places]
         return np.asarray(
-            self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose)
+            self.stds**2 + np.einsum("ki,kij,kj->k", expected.by_pose, jitters, expected.by_pose)
         )
 
     @cached_property
@@ -203,58 +197,48 @@ class Problem:
     def information(self) -> FloatArray:
         """The inverse covariance of a robot's calibration, also of a scale that was found."""
         assert self.prior is not None  # noqa: S101 (only a calibration has one)
-        found = self.prior.copy()
+        information = self.prior.copy()
         if self.sensor.scale_std:
-            found[4, 4] = RangeErrorConfig().scale_std ** -2
-        return found
+            information[4, 4] = RangeErrorConfig().scale_std ** -2
+        return information
 
-    def true(self, ranges: FloatArray, places: IntArray, calibration: FloatArray) -> FloatArray:
-        """The distances (k,), m, at which ranges of walls were measured from poses with numbers
-        (k,), by the calibration (n, 5).
+    def true(self, readings: Readings, calibration: FloatArray) -> FloatArray:
+        """The distances (k,), m, at which walls were measured, by the calibration (n, 5)."""
+        bias, scale = calibration[readings.places // self.steps, 3:].T
+        return np.asarray((readings.distances - bias) / (1.0 + scale))
+
+    def reports(
+        self, motions: FloatArray, calibration: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What robots with a calibration (n, 5) report of motions (n, t - 1, 3), and its
+        derivatives by the motions (n, 1, 3, 3) and by the calibration (n, t - 1, 3, 5).
+
+        The noise is that of the reports. If it grew with the wheels, it would be least in the
+        smallest map.
         """
-        _, _, _, bias, scale = calibration[places // self.steps].T
-        return np.asarray((ranges - bias) / (1.0 + scale))
-
-    def axle(self, calibration: FloatArray) -> float:
-        """The distance between the wheels (m) of a robot with a calibration (5,)."""
-        return self.robot.axle * (1.0 if self.turns is not None else 1.0 + float(calibration[2]))
-
-    @cached_property
-    def by_sizes(self) -> FloatArray:
-        """Derivatives (n, t - 1, 3, 3) of the measured motions by the first three numbers of the
-        calibration.
-        """
-        found = np.zeros((*self.wheels.shape, 3))
+        errors = tuple(calibration[:, :3].T[..., None])
+        motions = motions - self.jumps
+        inverse = np.tile(np.eye(3), (len(motions), 1, 1, 1))
         if self.turns is None:
-            found[..., 0, 0] = self.wheels[..., 0]
-            found[..., 1, 1] = self.wheels[..., 1]
-            return found
-        lever = 0.5 * self.robot.axle * self.turns * (1.0, -1.0)
-        found[..., :2, 0] = self.wheels[..., :2].mean(axis=-1, keepdims=True)
-        found[..., 0, 1:] = -lever
-        found[..., 1, 1:] = lever
-        return found
-
-    def sizes(self, calibration: FloatArray) -> FloatArray:
-        """By what motions by the calibration (n, 5) are larger than the reported ones (n, 1, 3)."""
-        sizes = np.ones((len(self.wheels), 1, 3))
-        if self.turns is None:
-            sizes[:, 0, :2] += calibration[:, :2]
-        return sizes
-
-    def motions(self, calibration: FloatArray) -> FloatArray:
-        """The measured motions (n, t - 1, 3), m, by the calibration (n, 5) of the wheels."""
-        if self.turns is None:
-            found = self.wheels * self.sizes(calibration)
+            left, right, axle = errors
+            back = (-left / (1.0 + left), -right / (1.0 + right), 0.0)
+            own = self.robot.axle
+            inverse[..., 0, 0], inverse[..., 2, 0], _ = corrected_wheels(1.0, 0.0, own, back)
+            inverse[..., 0, 2], inverse[..., 2, 2], _ = corrected_wheels(0.0, 1.0 + axle, own, back)
+            reports = (inverse @ motions[..., None])[..., 0]
+            rows = corrected_wheels(reports[..., 0], reports[..., 2], own, errors)[2]
         else:
-            found = self.wheels + np.einsum("ntij,nj->nti", self.by_sizes, calibration[:, :3])
-        return found if self.jumps is None else found + self.jumps
-
-    def whitened(self, errors: FloatArray) -> FloatArray:
-        """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in
-        standard deviations.
-        """
-        return np.asarray(np.einsum("ntij,ntj...->nti...", self.roots, errors))
+            turns = (self.turns[..., 0], self.turns[..., 1])
+            _, more, rows = corrected_heading(motions[..., 0], 0.0, turns, errors)
+            motions[..., 2] -= more
+            inverse[..., 0, 0] = 1.0 / (1.0 + errors[0])
+            reports = (inverse @ motions[..., None])[..., 0]
+            rows = corrected_heading(reports[..., 0], 0.0, turns, errors)[2]
+        by_errors = np.zeros((*motions.shape, calibration.shape[1]))
+        for part, row in zip((0, 2), rows, strict=True):
+            for column, value in enumerate(row):
+                by_errors[..., part, column] = value
+        return reports, inverse, -inverse @ by_errors
 
     def _beams_of(self, readings: Readings) -> FloatArray:
         beams = readings.beams
@@ -271,7 +255,7 @@ class State:
     Attributes
     ----------
     motions, poses
-        Motions (n, t - 1, 3), m, and the poses (n, t, 3) that follow from them, m and rad; headings
+        Motions (n, t - 1, 3), and the poses (n, t, 3) that follow from them, m and rad; headings
         are not wrapped.
     lines, anchors
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2),
@@ -305,94 +289,105 @@ class State:
         x, y, heading = compose(self.flat_poses[places], beams[:, :3]).T
         return np.column_stack((x, y, np.cos(heading), np.sin(heading), lengths))
 
+    def select(self, lines: IntArray) -> "State":
+        """The state with some of its lines."""
+        return replace(self, lines=self.lines[lines], anchors=self.anchors[lines])
 
-def make_problem(
-    robot: RobotSpec,
-    noise: NominalNoise,
-    starts: FloatArray,
-    wheels: FloatArray,
-    ranges: FloatArray,
-    usable: BoolArray | None = None,
-    prior: FloatArray | None = None,
-    first_step: int = 0,
-    sensor: RangeSensor | None = None,
-    ticks: FloatArray | None = None,
-    yaw: FloatArray | None = None,
-    unknown: FloatArray | None = None,
-) -> Problem:
+    def moved(self, motions: FloatArray, lines: FloatArray, calibration: FloatArray) -> "State":
+        """The state after changes of motions, lines and calibration. The poses follow."""
+        motions = self.motions + motions
+        poses = drive(self.poses[:, 0], motions)
+        return State(
+            motions, poses, self.lines + lines, self.anchors, self.calibration + calibration
+        )
+
+
+def make_problem(run: FilteredRun, prior: FloatArray | None = None) -> Problem:
     """Collect the measurements of a run.
 
-    Parameters
-    ----------
-    robot, noise
-        Body and beams of each of the n robots, and the specified noise. The standard deviation of
-        ranges is taken to be at least 5 mm.
-    starts
-        Known poses (n, 3), m and rad.
-    wheels, ranges
-        Observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset.
-    usable
-        Mask (t, n, n_beams) of the readings that may be used; None for all. Readings without a wall
-        are always left out. So are old readings that a slow sensor repeats.
-    prior
-        ``CALIBRATION_PRIOR`` if wheels, axle and bias are to be estimated, or None.
-    first_step
-        Step of the drive that row 0 belongs to. It decides which readings a slow sensor repeats.
-    sensor
-        How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
-    ticks
-        The ticks (n, 2) of the encoders, m; by the wheels if left out.
-    yaw
-        Headings (t, n) by inertial measurement units, rad, NaN without a reading; None without such
-        sensors.
-    unknown
-        Variances (t, n, 2) of the wheels' travel beyond the noise of encoders, m^2.
+    The standard deviation of ranges is taken to be at least 5 mm. Readings without a wall are left
+    out, and old readings that a slow sensor repeats. ``prior`` is ``CALIBRATION_PRIOR`` if wheels,
+    axle and bias are to be estimated, or None.
     """
-    wheels = np.asarray(wheels, dtype=float)
-    unknown = np.zeros_like(wheels) if unknown is None else unknown
-    reported = np.moveaxis(wheels, 0, 1)[:, 1:]
-    motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
-    ranges = np.asarray(ranges, dtype=float)
-    fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
-    measured = fresh & np.isfinite(ranges) & (True if usable is None else usable)
-    sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
+    robot = run.robot
+    noise = run.noise
+    wheels = np.moveaxis(np.asarray(run.wheels, dtype=float), 0, 1)
+    unknown = np.moveaxis(run.unknown, 0, 1)
+    ranges = np.asarray(run.ranges, dtype=float)
+    steps = run.first_step + np.arange(len(ranges))
+    fresh = np.array([robot.measures(step) for step in steps.tolist()])[:, None]
+    measured = fresh & np.isfinite(ranges) & run.usable
+    sensor = run.sensor or RangeSensor(noise.range_std, cone=robot.cone)
     measured[..., list(sensor.broken)] = False
     ranges = sensor.corrected(ranges, robot)
     looked = measured & (ranges > robot.too_near)
-    readings = _listed(looked & (ranges < robot.too_far), ranges)
-    looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
-    ticks = ticks_of(np.where(unknown, 0.0, wheels)) if ticks is None else ticks
-    covariances = slip_covariances(
-        robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured
-    )
-    covariances[..., 2, 2] += ASIDE_STD**2
-    steered = None if yaw is None else _by_headings(robot, noise, yaw, wheels, unknown)
-    if steered is None:
-        covariances[..., [0, 1], [0, 1]] += (
-            noise.wheel_variance * np.abs(reported)
-            + LEAST_VARIANCE
-            + np.moveaxis(unknown, 0, 1)[:, 1:]
-        )
+    ticks = run.ticks
+    if ticks is None:
+        ticks = ticks_of(np.where(np.moveaxis(unknown, 0, 1), 0.0, np.moveaxis(wheels, 0, 1)))
+    jitters = np.array([jitter_of(own, robot.axle) for own in ticks])
+    jitters = np.tile(jitters[:, None], (1, len(ranges), 1, 1))
+    std = max(noise.range_std, LEAST_RANGE_STD)
+    covariances = slip_covariances(robot, std, wheels[:, 1:], ranges, measured)
+    covariances[..., 1, 1] += ASIDE_STD**2
+    variances = np.zeros_like(wheels[:, 1:])
+    turns = None
+    if run.headings is None:
+        motions = _by_wheels(wheels[:, 1:], robot.axle)
+        variances += noise.wheel_variance * np.abs(wheels)[:, 1:] + LEAST_VARIANCE + unknown[:, 1:]
     else:
-        motions[..., :2] = steered.motions
-        covariances[..., :2, :2] += steered.covariances
-    if not first_step:  # see ``encoder_ticks.first_jitter``
-        covariances[:, 0, [0, 1], [0, 1]] += tick_variances(ticks)
-    roots = np.linalg.inv(np.linalg.cholesky(covariances))
-    starts = np.asarray(starts, dtype=float)
-    return Problem(
-        sensor.mounted(robot),
-        starts,
-        motions,
-        roots,
-        readings,
-        looks,
-        sensor,
-        ticks,
-        prior,
-        turns=None if steered is None else steered.turns,
-        heading_jitters=None if steered is None else steered.jitters,
+        steered = _by_headings(robot, noise, run.headings, wheels, unknown)
+        motions = steered.motions
+        turns = steered.turns
+        covariances[..., [0, 2], [0, 2]] += steered.variances
+        jitters[..., 2, :] = jitters[..., :, 2] = 0.0
+        jitters[..., 2, 2] = steered.jitters
+    if not run.first_step:  # see ``encoder_ticks.first_jitter``
+        variances[:, 0] += tick_variances(ticks)
+    by_wheels = _by_wheels(np.eye(2), robot.axle).T
+    covariances += (by_wheels * variances[..., None, :]) @ by_wheels.T
+    problem = Problem(
+        robot=sensor.mounted(robot),
+        starts=np.asarray(run.poses[0], dtype=float),
+        motions=motions,
+        roots=np.linalg.inv(np.linalg.cholesky(covariances)),
+        jumps=np.zeros_like(motions),
+        readings=_listed(looked & (ranges < robot.too_far), ranges),
+        looks=_listed(looked, np.minimum(ranges, robot.max_ranges)),
+        sensor=sensor,
+        own_jitters=jitters,
+        prior=prior,
+        turns=turns,
     )
+    for number, step in run.breaks:
+        _break(problem, run, number, step)
+    return problem
+
+
+def _break(problem: Problem, run: FilteredRun, number: int, step: int) -> None:
+    """Let a carried robot come to where the filter found it in a step: nothing was reported of that
+    motion.
+
+    The filter has found it by hundreds of readings, of which the associations of the run hold a few
+    only.
+    """
+    poses = run.poses[step - 1 : step + 1, number].copy()
+    before, after = run.covariances[step - 1 : step + 1, number]
+    poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
+    place = (number, step - 1)
+    problem.motions[place] = 0.0
+    problem.jumps[place] = motions_between(poses)[0]
+    if problem.turns is not None:
+        problem.turns[place] = 0.0
+    jacobian = motion_jacobians(poses)[0]
+    both = block_diag(before, after + np.diag(FOUND_STDS**2))
+    problem.roots[place] = np.linalg.inv(np.linalg.cholesky(jacobian @ both @ jacobian.T))
+
+
+def _by_wheels(wheels: FloatArray, axle: float) -> FloatArray:
+    """Motions (..., 3) by the travel (..., 2) of the wheels, m."""
+    left = wheels[..., 0]
+    right = wheels[..., 1]
+    return np.stack((0.5 * (left + right), np.zeros_like(left), (right - left) / axle), axis=-1)
 
 
 class _Steered(NamedTuple):
@@ -400,15 +395,15 @@ class _Steered(NamedTuple):
 
     Attributes
     ----------
-    motions, covariances
-        Travel (n, t - 1, 2) of wheels that do not slip in turns, m, and covariances (n, t - 1, 2,
-        2).
+    motions, variances
+        Motions (n, t - 1, 3), and the variances (n, t - 1, 2) of their lengths and turns.
     turns, jitters
-        ``Problem.turns`` and ``Problem.heading_jitters``.
+        ``Problem.turns``, and the variances (n, t) of the headings about the sum of all turns,
+        rad^2.
     """
 
     motions: FloatArray
-    covariances: FloatArray
+    variances: FloatArray
     turns: FloatArray
     jitters: FloatArray
 
@@ -420,31 +415,23 @@ def _by_headings(
     wheels: FloatArray,
     unknown: FloatArray,
 ) -> _Steered:
-    """The motions by headings (t, n), rad, and the travel (t, n, 2) of the wheels, m, with its
+    """The motions by headings (t, n), rad, and the travel (n, t, 2) of the wheels, m, with its
     further variances, m^2.
     """
-    travel = np.moveaxis(wheels, 0, 1)
-    more = unknown.sum(axis=-1).T
+    more = unknown.sum(axis=-1)
     table = np.array(
         [
-            [(each.angle, each.variance, each.jitter, each.measured, each.seconds) for each in own]
+            [(each.angle, each.variance, each.measured, each.seconds, each.jitter) for each in own]
             for own in (
-                turns_of(robot, noise, *each) for each in zip(yaw.T, travel, more, strict=True)
+                turns_of(robot, noise, *each) for each in zip(yaw.T, wheels, more, strict=True)
             )
         ]
     )
-    angles = table[:, 1:, 0, None, None]
-    variances = table[:, 1:, 1, None, None]
-    distances = 0.5 * travel[:, 1:].sum(axis=-1)
-    of_distances = 0.25 * (noise.wheel_variance * np.abs(travel).sum(axis=-1) + more)[:, 1:]
-    by_turn = 0.5 * robot.axle * np.array([[-1.0], [1.0]])
-    covariances = (of_distances + 0.5 * LEAST_VARIANCE)[..., None, None] * np.ones((2, 2))
-    return _Steered(
-        distances[..., None] + (angles * by_turn)[..., 0],
-        covariances + variances * (by_turn @ by_turn.T),
-        table[:, 1:, 3:],
-        table[..., 2],
-    )
+    motions = _by_wheels(wheels, robot.axle)
+    motions[..., 2] = table[..., 0]
+    lengths = 0.25 * (noise.wheel_variance * np.abs(wheels).sum(axis=-1) + more)
+    variances = np.stack((lengths + 0.5 * LEAST_VARIANCE, table[..., 1]), axis=-1)
+    return _Steered(motions[:, 1:], variances[:, 1:], table[:, 1:, 2:4].copy(), table[..., 4])
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
@@ -453,33 +440,20 @@ def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
     return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
 
 
-def state_from_poses(problem: Problem, poses: FloatArray) -> State:
+def state_from_poses(poses: FloatArray) -> State:
     """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be
     wrapped.
     """
-    calibration = np.zeros((len(problem.starts), len(CALIBRATION_PRIOR)))
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
-    motions = np.array(
-        [
-            motions_between(chain, problem.axle(sizes))
-            for chain, sizes in zip(chains, calibration, strict=True)
-        ]
-    )
-    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), calibration)
+    return state_from_motions(chains[:, 0], motions_between(chains))
 
 
-def moved(
-    problem: Problem,
-    motions: FloatArray,
-    lines: FloatArray,
-    anchors: FloatArray,
-    calibration: FloatArray,
-) -> State:
-    """The state with motions (n, t - 1, 3), and with the poses that follow from these motions."""
-    chains = zip(problem.starts, motions, calibration, strict=True)
-    poses = np.array([drive(start, chain, problem.axle(sizes)) for start, chain, sizes in chains])
-    return State(motions, poses, lines, anchors, calibration)
+def state_from_motions(starts: FloatArray, motions: FloatArray) -> State:
+    """A state without lines, with motions (n, t - 1, 3) from starts (n, 3)."""
+    nothing = np.zeros((0, 2))
+    calibration = np.zeros((len(starts), len(CALIBRATION_PRIOR)))
+    return State(motions, drive(starts, motions), nothing, nothing, calibration)
 
 
 def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
@@ -489,7 +463,6 @@ def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     places = problem.readings.places
     rows = np.empty((len(labels), 7))
     predict_readings(state.flat_poses, places, problem.beams, state.line_rows, labels, rows)
-    *_, bias, scale = state.calibration[places // problem.steps].T
-    longer = 1.0 + scale
-    rows[:, :6] *= longer[:, None]
+    bias, scale = state.calibration[places // problem.steps, 3:].T
+    rows[:, :6] *= (1.0 + scale)[:, None]
     return Expected(rows[:, 0] + bias, rows[:, 1:4], rows[:, 4:6], rows[:, 6])

@@ -21,9 +21,10 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
-from limslam_agent.slam.line_graph.reassociation import Association
-from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, tally
-from limslam_agent.slam.line_graph.smoother import FilteredRun, filter_labels, settle
+from limslam_agent.slam.line_graph.association import Association
+from limslam_agent.slam.line_graph.map import contradictions, drawn_pieces, tally
+from limslam_agent.slam.line_graph.run import FilteredRun
+from limslam_agent.slam.line_graph.smoother import filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
 
 _SHORTEST = 0.3  # m: least length of a wall that the error of its direction is based on
@@ -52,15 +53,13 @@ def renewed(
         last pose; and all poses of the stretch (t, 3). None if the stretch cannot be smoothed, or
         if its beams contradict the result.
     """
-    found = settle(stretch, config)
-    if found is None or contradictions(found) > _CONTRADICTED:
+    association = settle(stretch, config)
+    if association is None or contradictions(association) > _CONTRADICTED:
         return None
     # A wall has some errors in each stretch again, which are about as large as that of a range.
-    aged = _aged(start, found.problem.range_std)
-    labels = filter_labels(
-        found.problem, stretch.associations, stretch.closures, stretch.first_step
-    )
-    return _joined(aged, found, labels), found.state.poses[0]
+    aged = _aged(start, association.problem.range_std)
+    labels = filter_labels(association.problem, stretch)
+    return _joined(aged, association, labels), association.state.poses[0]
 
 
 def _aged(state: MapState, end_std: float) -> MapState:
@@ -72,31 +71,32 @@ def _aged(state: MapState, end_std: float) -> MapState:
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
 
 
-def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
+def _joined(start: MapState, association: Association, labels: IntArray) -> MapState:
     """The map from before, and the walls and the last pose of a stretch, with their joint
     covariance.
 
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or
     -1.
     """
-    state = found.state
-    solution = found.solution
+    state = association.state
+    solution = association.solution
     extents = {
-        index: extent for index, extent in enumerate(tally(found)[0]) if len(drawn_pieces(extent))
+        index: extent
+        for index, extent in enumerate(tally(association)[0])
+        if len(drawn_pieces(extent))
     }
     kept = np.array(list(extents), dtype=int)
-    counts = np.bincount(found.labels + 1)[1:]
+    counts = np.bincount(association.labels + 1)[1:]
     lines = state.lines[kept]
     anchors = state.anchors[kept]
     last = state.poses[0, -1]
-    nodes = solution.unknowns.nodes
+    nodes = solution.graph.nodes
     columns = np.append(nodes.columns("poses")[-1], nodes.columns("lines")[kept])
-    rows = np.searchsorted(solution.unknowns.kept, columns)
     x, y, _ = start.pose.tolist()
     by_start = np.vstack(
         (poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors))
     )
-    size = len(rows) + 2 * len(start.lines)
+    size = len(columns) + 2 * len(start.lines)
     old = np.arange(POSE, POSE + 2 * len(start.lines))
     new = np.append(np.arange(POSE), np.arange(old.size + POSE, size))
     covariance = np.empty((size, size))
@@ -105,7 +105,7 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     covariance[np.ix_(new, old)] = crossed
     covariance[np.ix_(old, new)] = crossed.T
     moved = by_start @ start.covariance[:POSE, :POSE] @ by_start.T
-    covariance[np.ix_(new, new)] = moved + solution.covariance[np.ix_(rows, rows)]
+    covariance[np.ix_(new, new)] = moved + solution.covariance(columns)
     return MapState(
         pose=last,
         lines=np.vstack((start.lines, lines)),
@@ -119,7 +119,7 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
                     extents[index],
                     1,
                     int(counts[index]),
-                    known_as=_most_frequent(labels[found.labels == index]),
+                    known_as=_most_frequent(labels[association.labels == index]),
                 )
                 for index in kept.tolist()
             ),

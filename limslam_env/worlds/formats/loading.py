@@ -71,6 +71,14 @@ def load_world(
     ------
     WorldError
         If there is no such world, or it cannot be used; the message names file and reason.
+
+    Examples
+    --------
+    >>> from limslam_env import load_world
+    >>> load_world("env2").size
+    (9.0, 5.3)
+    >>> load_world("random:17:40x30").name
+    'random:17:40x30'
     """
     scale = _Scale(metres_per_pixel, metres_per_unit, None if layers is None else (*layers,))
     scale.check_use(source)

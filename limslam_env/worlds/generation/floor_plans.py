@@ -64,6 +64,16 @@ class FloorPlanConfig:
         polygons of 3 to 8 corners.
     obstacle_size
         Distance across an obstacle, m; drawn for each.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> from limslam_env import FloorPlanConfig
+    >>> plans = FloorPlanConfig(width=(6.0, 9.0), height=6.0, obstacles=0.0)
+    >>> env = gym.make("LimSlam-World-v0", world=plans)
+    >>> _, info = env.reset(seed=3)
+    >>> 6.0 <= env.unwrapped.world.size[0] <= 9.0
+    True
     """
 
     width: Setting = (6.0, 10.0)

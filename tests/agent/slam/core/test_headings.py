@@ -13,10 +13,12 @@ from limslam_agent.replay.replay import Replay, replay_log
 from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.core.motion import HeadingCalibration, Motion, calibrated, steered
 from limslam_agent.slam.core.turn_meter import LONGEST_GAP, Turn, TurnMeter, turns_of
+from limslam_agent.slam.line_graph.motions import motions_between
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
+from limslam_agent.slam.line_graph.run import FilteredRun
 from limslam_env import NoiseConfig, NominalNoise, RobotSpec
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import arc, wrap_angle
+from limslam_env.geometry.se2 import arc, compose, wrap_angle
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.formats.loading import load_world
 
@@ -178,18 +180,34 @@ def test_the_smoother_has_the_same_motions_and_derivatives() -> None:
     yaw = np.array([[0.0], [0.1], [math.nan], [0.3]])
     wheels = np.tile([[[0.02, 0.03]]], (4, 1, 1))
     ranges = np.full((4, 1, len(ROBOT.beams)), 0.5)
-    problem = make_problem(ROBOT, NOISE, np.zeros((1, 3)), wheels, ranges, yaw=yaw)
-    values = np.array([[0.01, 0.02, 0.03, 0.0]])
+    poses = np.zeros((4, 1, 3))
+    run = FilteredRun(
+        ROBOT,
+        NOISE,
+        wheels,
+        ranges,
+        np.ones(ranges.shape, dtype=bool),
+        poses,
+        np.zeros((4, 1, 3, 3)),
+        yaw=yaw,
+    )
+    problem = make_problem(run)
+    values = np.array([[0.01, 0.02, 0.03, 0.0, 0.0]])
     turns = turns_of(ROBOT, NOISE, yaw[:, 0], wheels[:, 0])
-    found = problem.motions(values)[0]
-    for row, turn in zip(found, turns[1:], strict=True):
-        motion = steered(Motion(np.zeros(3), np.eye(3)), wheels[0, 0], turn, NOISE)
-        moved = calibrated(motion, ROBOT.axle, HeadingCalibration(*values[0, :3].tolist()))
-        left, right, _ = row
-        np.testing.assert_allclose(
-            arc(0.5 * (left + right), (right - left) / ROBOT.axle), moved.increment, atol=1e-12
-        )
-    state = state_from_poses(problem, np.zeros((4, 1, 3)))
+    moved = [
+        calibrated(
+            steered(Motion(np.zeros(3), np.eye(3)), wheels[0, 0], turn, NOISE),
+            ROBOT.axle,
+            HeadingCalibration(*values[0, :3].tolist()),
+        ).increment
+        for turn in turns
+    ]
+    driven = np.zeros((1, 4, 3))
+    for step, increment in enumerate(moved[1:], 1):
+        driven[0, step] = compose(driven[0, step - 1], increment)
+    reports, _, _ = problem.reports(motions_between(driven), values)
+    np.testing.assert_allclose(reports, problem.motions, atol=1e-12)
+    state = state_from_poses(poses)
     headings = problem.jitters(state)[0, :, 2, 2]
     np.testing.assert_allclose(headings, [each.jitter for each in turns])
 

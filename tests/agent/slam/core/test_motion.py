@@ -24,7 +24,8 @@ from limslam_agent.slam.core.motion import (
     motion_from_wheels,
     motion_of,
 )
-from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+from limslam_agent.slam.line_graph.run import FilteredRun
+from limslam_agent.slam.line_graph.smoother import smooth_run
 from limslam_env import NoiseConfig, NominalNoise, RobotSpec, World, metrics
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.simulation.simulation import Simulation
@@ -312,9 +313,7 @@ def test_the_smoother_allows_the_same_slip() -> None:
     for row in ranges[1:, 0]:
         total += slip_covariance(*contacts.slip(0.02, row, ALL))
     assert np.flatnonzero(slips[:, 0, 0]).tolist() == list(range(9, len(ranges) - 1))
-    # The mean of the wheels is the motion ahead.
-    ahead = np.array([0.5, 0.5, 0.0])
-    assert ahead @ slips.sum(axis=0) @ ahead == pytest.approx(total[0, 0])
+    np.testing.assert_allclose(slips.sum(axis=0), total, atol=1e-15)
 
 
 def bumping(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -24,45 +24,33 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.beams import read_share
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_between
-from limslam_agent.slam.line_graph.line_merging import (
+from limslam_agent.slam.line_graph.association import merge, reassociate, solve_labels
+from limslam_agent.slam.line_graph.map import lasting, smoothed_map, tally
+from limslam_agent.slam.line_graph.merging import (
     ELSEWHERE,
     LEAST_SHARE,
     NEGATIVE,
     POSITIVE,
-    PRIOR_LENGTH,
     SURE,
     THICKEST,
     THINNEST,
     Lines,
     board_evidence,
-    board_odds,
-    is_wall,
     merge_lines,
+    prior_odds,
     wall_kinds,
 )
-from limslam_agent.slam.line_graph.line_smoother import solve
-from limslam_agent.slam.line_graph.new_lines import with_new_lines
+from limslam_agent.slam.line_graph.motions import motion_jacobians, motions_between
+from limslam_agent.slam.line_graph.new_lines import faces
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     RELATIVE_PRIOR,
     expected,
     state_from_poses,
 )
-from limslam_agent.slam.line_graph.reassociation import (
-    merge,
-    places_along,
-    reassociate,
-    solve_labels,
-)
-from limslam_agent.slam.line_graph.smoothed_map import lasting, smoothed_map, tally
-from limslam_agent.slam.line_graph.smoother import (
-    FilteredRun,
-    beside,
-    settle,
-    smooth_run,
-    smooth_with_unknown_start,
-)
+from limslam_agent.slam.line_graph.run import FilteredRun, beside
+from limslam_agent.slam.line_graph.smoother import settle, smooth_run, smooth_with_unknown_start
+from limslam_agent.slam.line_graph.solution import solve
 from limslam_env import NominalNoise
 from limslam_env.geometry import FloatArray, se2, segment
 
@@ -80,12 +68,26 @@ def nees(true, estimated, covariances):
 @pytest.mark.parametrize("turn", [0.0, 1e-5, 0.3, -1.2])
 def test_derivatives_of_motions_are_differences(turn):
     poses = np.array([[0.3, -0.2, 0.7], [0.35, -0.17, 0.7 + turn]])
-    found = motion_jacobians(poses, ROBOT.axle)[0]
+    found = motion_jacobians(poses)[0]
     for column in range(6):
         change = np.zeros((2, 3))
         change.flat[column] = 1e-6
-        ends = [motions_between(poses + sign * change, ROBOT.axle)[0] for sign in (1.0, -1.0)]
+        ends = [motions_between(poses + sign * change)[0] for sign in (1.0, -1.0)]
         assert found[:, column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+
+
+def test_derivatives_of_reports_are_differences():
+    problem, _ = noisy_run(4)
+    motions = problem.motions + 1e-3
+    calibration = np.array([[0.02, -0.01, 0.03, 0.0, 0.0]])
+    reports, by_motion, by_errors = problem.reports(motions, calibration)
+    for column, unit in enumerate(1e-6 * np.eye(5)[:3]):
+        more, less = (problem.reports(motions, calibration + each)[0] for each in (unit, -unit))
+        np.testing.assert_allclose(by_errors[..., column], (more - less) / 2e-6, atol=1e-9)
+    for column, unit in enumerate(1e-3 * np.eye(3)):
+        moved = problem.reports(motions + unit, calibration)[0]
+        wanted = np.broadcast_to(by_motion[..., column], moved.shape)
+        np.testing.assert_allclose((moved - reports) / 1e-3, wanted, atol=1e-9)
 
 
 def test_derivatives_by_bias_and_scale_are_differences():
@@ -96,8 +98,8 @@ def test_derivatives_by_bias_and_scale_are_differences():
         solve_labels(problem, state, labels).state, calibration=np.array([[0, 0, 0, 0.02, 0.03]])
     )
     found = expected(problem, state, labels)
-    places = problem.readings.places
-    lengths = problem.true(found.ranges, places, state.calibration)
+    met = replace(problem.readings, distances=found.ranges)
+    lengths = problem.true(met, state.calibration)
     for column, wanted in ((3, np.ones(len(labels))), (4, lengths)):
         change = 1e-6 * np.eye(5)[[column]]
         ends = [
@@ -125,7 +127,7 @@ def test_covariances_are_those_of_a_dense_solution():
     labels = true_labels(problem, poses)
     steps = problem.steps
     count = len(state.lines)
-    jacobians = motion_jacobians(state.poses[0], ROBOT.axle)
+    jacobians = motion_jacobians(state.poses[0])
     wanted = expected(problem, state, labels)
     whole = np.zeros((3 * steps + 2 * count, 3 * steps + 2 * count))
     for step in range(steps - 1):
@@ -143,12 +145,9 @@ def test_covariances_are_those_of_a_dense_solution():
         block = slice(3 * step - 3, 3 * step)
         assert covariances[0, step] == pytest.approx(dense[block, block], rel=1e-3, abs=1e-12)
     # The joint covariance of the last pose and the lines, from which a renewal goes on.
-    unknowns = solution.unknowns
-    columns = np.append(
-        unknowns.nodes.columns("poses")[unknowns.ends[-1]], unknowns.nodes.columns("lines")
-    )
-    rows = np.searchsorted(unknowns.kept, columns)
-    joint = solution.covariance[np.ix_(rows, rows)]
+    nodes = solution.graph.nodes
+    columns = np.append(nodes.columns("poses")[-1], nodes.columns("lines"))
+    joint = solution.covariance(columns)
     assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
 
 
@@ -179,13 +178,20 @@ FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
 
 def widened(problem, poses, width):
     """The problem with the readings of beams with an opening angle."""
-    state = state_from_poses(problem, np.moveaxis(poses, 0, 1))
+    state = state_from_poses(np.moveaxis(poses, 0, 1))
     labels = true_labels(problem, poses)
     cosines = expected(problem, solve_labels(problem, state, labels).state, labels).cosines
     shares = [read_share(cosine, width) for cosine in cosines.tolist()]
     return replace(
         problem, readings=replace(problem.readings, distances=problem.readings.distances * shares)
     )
+
+
+def wheels_of(problem):
+    """The reported travel (n, t - 1, 2) of the wheels."""
+    ahead, _, turn = np.moveaxis(problem.motions, -1, 0)
+    lever = 0.5 * problem.robot.axle * turn
+    return np.stack((ahead - lever, ahead + lever), axis=-1)
 
 
 def run_of(problem, poses, sensor):
@@ -195,7 +201,7 @@ def run_of(problem, poses, sensor):
     ranges = np.tile(problem.robot.max_ranges, (steps, 1, 1))
     readings = problem.readings
     ranges[readings.places, 0, readings.beams] = readings.distances
-    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 1, 0)))
+    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(wheels_of(problem), 1, 0)))
     labels = true_labels(problem, poses)
     sources = np.column_stack((readings.places, readings.beams))
     members = [sources[labels == wall] for wall in range(labels.max() + 1)]
@@ -373,10 +379,8 @@ def test_five_readings_are_no_line() -> None:
     problem, poses = noisy_run(5)
     found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
     wall = np.flatnonzero(found.labels == 0)
-    assert with_new_lines(problem, found.state, found.labels, wall).max() >= len(found.state.lines)
-    assert with_new_lines(problem, found.state, found.labels, wall[:5]).max() < len(
-        found.state.lines
-    )
+    assert faces(problem, found.state, wall)
+    assert not faces(problem, found.state, wall[:5])
 
 
 UNSEEN = [np.inf, -np.inf]
@@ -436,23 +440,12 @@ def test_the_evidence_is_the_ratio_of_the_likelihoods(behind: float, std: float)
     assert board_evidence(behind, std**2) == pytest.approx(math.log(wanted), rel=1e-6, abs=1e-6)
 
 
-def test_an_exact_offset_decides_and_a_vague_one_does_not() -> None:
-    assert board_evidence(0.0, 0.01**2) > SURE
-    assert is_wall(board_evidence(0.13, 0.02**2), 0.13)
-    assert abs(board_evidence(0.13, 0.5**2)) < 1.0
-    # What is in front of a line, or far behind it, is not the other face of its wall.
-    assert not is_wall(board_evidence(-0.13, 0.02**2), -0.13)
-    assert not is_wall(board_evidence(0.8, 0.02**2), 0.8)
-
-
 def test_a_building_has_mostly_one_kind_of_walls() -> None:
     vague = board_evidence(0.1, 0.3**2)
-    assert board_odds(vague, 10.0, 0.0) > SURE
-    assert board_odds(vague, 0.0, 0.0) == pytest.approx(vague)
-    assert board_odds(vague, 10.0, 10.0) < SURE
-    exact = board_evidence(0.0, 0.01**2)
-    assert board_odds(exact, 0.0, 100.0) == pytest.approx(exact + math.log(LEAST_SHARE))
-    assert np.isfinite(board_odds(-1e6, 0.0, 1.0 / PRIOR_LENGTH))
+    assert vague + prior_odds(10.0, 0.0) > SURE
+    assert vague + prior_odds(10.0, 10.0) < SURE
+    assert prior_odds(0.0, 0.0) == pytest.approx(0.0)
+    assert prior_odds(0.0, 100.0) == pytest.approx(math.log(LEAST_SHARE))
 
 
 def truth(seed, noise=0.02, **changes):
@@ -495,10 +488,8 @@ def test_what_did_not_last_is_no_wall():
 def test_a_wide_beam_draws_a_wall_where_it_has_read_it():
     found = truth(3)
     sensor = found.problem.sensor._replace(cone=math.radians(12.0))
-    along, wide = (
-        places_along(each, found.state, found.labels)
-        for each in (found.problem, replace(found.problem, sensor=sensor))
-    )
+    along = found.along
+    wide = replace(found, problem=replace(found.problem, sensor=sensor)).along
     poses = found.state.flat_poses[found.problem.readings.places]
     used = found.labels >= 0
     lines = found.state.lines[found.labels]

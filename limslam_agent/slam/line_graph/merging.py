@@ -15,9 +15,10 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from limslam_agent.slam.consistent.limits import MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
 POSITIVE = 0
@@ -55,14 +56,14 @@ proof of a board.
 # m and rad: two lines that differ by more are not merged
 _MAX_OFFSET = 0.15
 _MAX_ANGLE = 0.12
-_MOST_MOVED = (
-    0.10,
-    0.05,
-)  # m and rad: the largest change of a line by merging before the problem is linearised again
+# m and rad: the largest change of a line by merging before the problem is linearised again
+_MOST_MOVED = (0.10, 0.05)
 
 
 class Pairs(NamedTuple):
-    """Pairs of lines (k,) that are near each other."""
+    """Pairs of lines (k,) that are near each other, and the first line of each about the second
+    line's anchor, minus the second line.
+    """
 
     # first, second: indices of the lines
     first: IntArray
@@ -74,26 +75,13 @@ class Pairs(NamedTuple):
     # opposite sides, m
     own: FloatArray
     opposite: FloatArray
-    side: IntArray  # the side of the second line that the opposite stretch was read from
-
-
-class Difference(NamedTuple):
-    """The first line of each pair about the second line's anchor, minus the second line.
-
-    Attributes
-    ----------
-    values
-        Offset and angle (k, 2), m and rad.
-    columns, jacobian
-        What they depend on: unknowns (k, 4) of the joint covariance, and derivatives (k, 2, 4).
-    information
-        Inverse covariances (k, 2, 2).
-    """
-
+    is_positive: BoolArray  # whether the opposite stretch was read from the second line's positive
+    # values: offset and angle (k, 2), m and rad
     values: FloatArray
+    # What they depend on: unknowns (k, 4) of the joint covariance, and derivatives (k, 2, 4)
     columns: IntArray
     jacobian: FloatArray
-    information: FloatArray
+    information: FloatArray  # inverse covariances (k, 2, 2)
 
     @property
     def squared(self) -> FloatArray:
@@ -104,6 +92,21 @@ class Difference(NamedTuple):
     def volumes(self) -> FloatArray:
         """Logarithms (k,) of the determinants of the covariances."""
         return np.asarray(-np.log(np.linalg.det(self.information)))
+
+    @property
+    def behind(self) -> FloatArray:
+        """How far the first lines lie behind the second ones (k,), m, if both are parallel and the
+        opposite stretch was read from behind.
+        """
+        offset = self.values[:, 0] + (
+            self.information[:, 0, 1] / self.information[:, 0, 0] * self.values[:, 1]
+        )
+        return np.where(self.is_positive, -offset, offset)
+
+    @property
+    def evidence(self) -> FloatArray:
+        """The evidence (k,) of boards in lines that were read from opposite sides."""
+        return board_evidence(self.behind, 1.0 / self.information[:, 0, 0])
 
 
 @dataclass(eq=False)
@@ -131,72 +134,66 @@ class Lines:
         stretch.
         """
         ends = _ends(self.seen)
-        left = np.flatnonzero(
-            (self.merged_into == np.arange(len(ends))) & (ends[:, 0] < ends[:, 1])
-        )
-        first, second = (left[each] for each in np.triu_indices(len(left), 1))
-        is_parallel = (
-            np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= _MAX_ANGLE
-        )
-        first = first[is_parallel]
-        second = second[is_parallel]
+        is_left = self.merged_into == np.arange(len(ends))
+        left = np.flatnonzero(is_left & (ends[:, 0] < ends[:, 1]))
+        pairs = left[np.array(np.triu_indices(len(left), 1))]
+        turn = self.lines[pairs[0], 1] - self.lines[pairs[1], 1]
+        first, second = pairs[:, np.abs(angle_between(turn)) <= _MAX_ANGLE]
         seen = self._seen_along(first, second)
-        there = self.seen[second]
         middle = self._points(second, ends[second].mean(axis=1))
-        offset = (
-            np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1)
-            - self.lines[first, 0]
-        )
-        is_near = (np.abs(offset) <= max_offset) & (
-            _shared(_ends(seen), ends[second]) >= MIN_OVERLAP
-        )
+        across = np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1)
+        is_near = np.abs(across - self.lines[first, 0]) <= max_offset
+        is_near &= _shared(_ends(seen), ends[second]) >= MIN_OVERLAP
         first = first[is_near]
         second = second[is_near]
         seen = seen[is_near]
-        there = there[is_near]
+        there = self.seen[second]
         opposite = _shared(seen[:, ::-1], there)
+        values, jacobian = self._differences(first, second)
+        columns = 2 * np.column_stack((first, first, second, second)) + np.array([0, 1, 0, 1])
+        joint = self.covariance[columns[:, :, None], columns[:, None, :]]
+        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + np.diag(STRAIGHTNESS)
         return Pairs(
             first,
             second,
             seen,
-            _shared(seen, there).max(axis=1),
-            opposite.max(axis=1),
-            np.where(opposite[:, POSITIVE] >= opposite[:, NEGATIVE], POSITIVE, NEGATIVE),
+            own=_shared(seen, there).max(axis=1),
+            opposite=opposite.max(axis=1),
+            is_positive=opposite[:, POSITIVE] >= opposite[:, NEGATIVE],
+            values=values,
+            columns=columns,
+            jacobian=jacobian,
+            information=np.linalg.inv(covariance),
         )
 
-    def differences(self, pairs: Pairs) -> Difference:
-        """The differences of the lines of each pair."""
-        (one, other), count = (self.lines[pairs.first], self.lines[pairs.second]), len(pairs.first)
-        away = self.anchors[pairs.second] - self.anchors[pairs.first]
-        sign = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0)
-        offset = sign * (one[:, 0] - np.sum(away * normal(one), axis=1)) - other[:, 0]
-        jacobian = np.zeros((count, 2, 4))
-        jacobian[:, 0, 0] = sign
-        jacobian[:, 0, 2] = -1.0
-        jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
-        jacobian[:, 1, 1] = 1.0
-        jacobian[:, 1, 3] = -1.0
-        columns = 2 * np.column_stack(
-            (pairs.first, pairs.first, pairs.second, pairs.second)
-        ) + np.array([0, 1, 0, 1])
-        joint = self.covariance[columns[:, :, None], columns[:, None, :]]
-        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + np.diag(STRAIGHTNESS)
-        values = np.column_stack((offset, angle_between(one[:, 1] - other[:, 1])))
-        return Difference(values, columns, jacobian, np.linalg.inv(covariance))
-
-    def merge(self, pairs: Pairs, difference: Difference, which: int) -> None:
+    def merge(self, pairs: Pairs, which: int) -> None:
         """Make the lines of a pair equal, by a Kalman update of all lines with their difference,
         which is zero.
         """
-        crossed = self.covariance[:, difference.columns[which]] @ difference.jacobian[which].T
-        gain = crossed @ difference.information[which]
-        moves = gain @ difference.values[which]
-        self.lines -= moves.reshape(-1, 2)
+        crossed = self.covariance[:, pairs.columns[which]] @ pairs.jacobian[which].T
+        gain = crossed @ pairs.information[which]
+        self.lines -= (gain @ pairs.values[which]).reshape(-1, 2)
         self.covariance -= gain @ crossed.T
         own = self.seen[pairs.second[which]]
         own[:, 0] = np.minimum(own[:, 0], pairs.seen[which, :, 0])
         own[:, 1] = np.maximum(own[:, 1], pairs.seen[which, :, 1])
         self.merged_into[self.merged_into == pairs.first[which]] = pairs.second[which]
+
+    def _differences(self, first: IntArray, second: IntArray) -> tuple[FloatArray, FloatArray]:
+        """First lines about the anchors of second ones, minus these: offsets and angles (k, 2), and
+        derivatives (k, 2, 4).
+        """
+        one = self.lines[first]
+        other = self.lines[second]
+        away = self.anchors[second] - self.anchors[first]
+        sign = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0)
+        offset = sign * (one[:, 0] - np.sum(away * normal(one), axis=1)) - other[:, 0]
+        jacobian = np.zeros((len(first), 2, 4))
+        jacobian[:, 0, 0] = sign
+        jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
+        jacobian[:, 0, 2] = jacobian[:, 1, 3] = -1.0
+        jacobian[:, 1, 1] = 1.0
+        return np.column_stack((offset, angle_between(one[:, 1] - other[:, 1]))), jacobian
 
     def _points(self, chosen: IntArray, places: FloatArray) -> FloatArray:
         """Points (k, 2) at places (k,) along chosen lines (k,)."""
@@ -220,102 +217,67 @@ def merge_lines(known: Lines, kinds: tuple[float, float]) -> bool:
     """Merge lines that may be one wall, in the order of likelihood; return whether there were any.
 
     The pair with the greatest likelihood is merged first: a pair with a large covariance passes the
-    chi-square test easily. Two lines that were read from opposite sides only are merged if they are
-    a board. Merging ends when a line has moved far: the problem must then be linearised again.
-
-    Parameters
-    ----------
-    known
-        The lines, which are changed.
-    kinds
-        The lengths of the known boards and walls, m.
+    chi-square test easily. Two lines share a stretch that was read from one side, or they are
+    merged if they are a board. Merging ends when a line has moved far: the problem must then be
+    linearised again. ``kinds`` are the lengths of the known boards and walls, m.
     """
     begin = known.lines.copy()
     has_merged = False
     most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()).reshape(-1, 2)
     while True:
         pairs = known.near_pairs()
-        difference = known.differences(pairs)
-        squared = difference.squared
-        cost = squared + difference.volumes
-        likely = np.flatnonzero(squared < ONE_WALL_GATE)
-        ordered = likely[np.argsort(cost[likely])].tolist()
-        best = next((k for k in ordered if _is_one_line(pairs, difference, k, kinds)), None)
-        if best is None:
+        is_one = pairs.own >= np.minimum(MIN_OVERLAP, pairs.opposite)
+        is_one |= pairs.evidence + prior_odds(*kinds) > SURE
+        squared = pairs.squared
+        cost = np.where(is_one & (squared < ONE_WALL_GATE), squared + pairs.volumes, np.inf)
+        if not np.isfinite(cost).any():
             return has_merged
-        known.merge(pairs, difference, best)
+        known.merge(pairs, int(cost.argmin()))
         has_merged = True
         is_left = known.merged_into == np.arange(len(begin))
         if (np.abs(known.lines - begin) > most)[is_left].any():
-            return has_merged
+            return True
 
 
 def wall_kinds(known: Lines) -> tuple[float, float]:
     """Length of the lines that are boards, and length of the walls with two faces, m."""
     boards = np.maximum(known.seen[..., 1].min(axis=1) - known.seen[..., 0].max(axis=1), 0.0).sum()
     pairs = known.near_pairs(THICKEST)
-    difference = known.differences(pairs)
+    are_walls = (pairs.opposite > 0.0) & is_wall(pairs.evidence, pairs.behind)
     behind = np.zeros(len(known.lines))
-    for k in np.flatnonzero(pairs.opposite > 0.0).tolist():
-        if is_wall(*_compared(pairs, difference, k)):
-            own = [pairs.first[k], pairs.second[k]]
-            behind[own] = np.maximum(behind[own], pairs.opposite[k])
+    for line in (pairs.first, pairs.second):
+        np.maximum.at(behind, line[are_walls], pairs.opposite[are_walls])
     return float(boards), 0.5 * float(behind.sum())
 
 
-def _is_one_line(
-    pairs: Pairs, difference: Difference, which: int, kinds: tuple[float, float]
-) -> bool:
-    """Whether the lines of a pair share a stretch that was read from one side, or are a board."""
-    if pairs.own[which] >= min(MIN_OVERLAP, pairs.opposite[which]):
-        return True
-    return board_odds(_compared(pairs, difference, which)[0], *kinds) > SURE
-
-
-def _compared(pairs: Pairs, difference: Difference, which: int) -> tuple[float, float]:
-    """Evidence of a board in two lines that were read from opposite sides, and how far behind the
-    first one lies, m.
-
-    The two lines are taken to be parallel.
-    """
-    (offset, angle), information = difference.values[which].tolist(), difference.information[which]
-    offset += float(information[0, 1] / information[0, 0]) * angle
-    behind = -offset if pairs.side[which] == POSITIVE else offset
-    return board_evidence(behind, 1.0 / float(information[0, 0])), behind
-
-
-def board_evidence(behind: float, variance: float) -> float:
-    """Logarithm of the Bayes factor of a board against a wall.
+def board_evidence(behind: FloatArray, variance: FloatArray) -> FloatArray:
+    """Logarithm (k,) of the Bayes factor of a board against a wall.
 
     Parameters
     ----------
     behind, variance
         How far the line that is seen from one side lies behind the line that is seen from the other
-        side, m, and the variance of that, m^2.
+        side (k,), m, and the variance of that, m^2.
     """
-    std = math.sqrt(variance)
-    nearer = math.erf((THINNEST - behind) / (math.sqrt(2.0) * std))
-    farther = math.erf((THICKEST - behind) / (math.sqrt(2.0) * std))
-    wall = 0.5 * (farther - nearer) / (THICKEST - THINNEST) + ELSEWHERE
-    return (
-        -0.5 * behind * behind / variance
-        - math.log(math.sqrt(2.0 * math.pi) * std)
-        - math.log(wall)
+    std = np.sqrt(variance)
+    nearer = ndtr((THINNEST - behind) / std)
+    farther = ndtr((THICKEST - behind) / std)
+    wall = (farther - nearer) / (THICKEST - THINNEST) + ELSEWHERE
+    return np.asarray(
+        -0.5 * behind * behind / variance - np.log(math.sqrt(2.0 * math.pi) * std) - np.log(wall)
     )
 
 
-def board_odds(evidence: float, boards: float, walls: float) -> float:
-    """Logarithm of the posterior odds of a board, given its evidence and the lengths of known
-    boards and walls, m.
-    """
-    return evidence + math.log(max((boards + PRIOR_LENGTH) / (walls + PRIOR_LENGTH), LEAST_SHARE))
+def prior_odds(boards: float, walls: float) -> float:
+    """Logarithm of the prior odds of a board, by the lengths of known boards and walls, m."""
+    return math.log(max((boards + PRIOR_LENGTH) / (walls + PRIOR_LENGTH), LEAST_SHARE))
 
 
-def is_wall(evidence: float, behind: float) -> bool:
-    """Whether two lines that are seen from opposite sides are the two faces of one wall, by their
-    evidence alone.
+def is_wall(evidence: FloatArray, behind: FloatArray) -> BoolArray:
+    """Whether two lines (k,) that are seen from opposite sides are the two faces of one wall, by
+    their evidence alone.
     """
-    return evidence < -SURE_OF_WALL and 0.0 < behind < THICKEST
+    return np.asarray((evidence < -SURE_OF_WALL) & (behind > 0.0) & (behind < THICKEST))
 
 
 def _ends(seen: FloatArray) -> FloatArray:

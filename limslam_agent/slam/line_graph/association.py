@@ -8,29 +8,25 @@ one wall are independent, and those of two are systematic along the line.
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from limslam_agent.kernels.crossings import choose_lines
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_agent.slam.line_graph.line_merging import (
+from limslam_agent.slam.line_graph.merging import (
     NEGATIVE,
     POSITIVE,
     SURE,
     Lines,
-    board_odds,
     merge_lines,
+    prior_odds,
     wall_kinds,
 )
-from limslam_agent.slam.line_graph.line_smoother import (
-    Solution,
-    not_grazing,
-    range_residuals,
-    solve,
-)
-from limslam_agent.slam.line_graph.new_lines import with_new_lines
+from limslam_agent.slam.line_graph.new_lines import faces
 from limslam_agent.slam.line_graph.problem import Problem, State, expected
+from limslam_agent.slam.line_graph.solution import Solution, not_grazing, residuals, solve
 from limslam_env.geometry import FloatArray, IntArray
 
 _ROUNDS = 8  # of merging, association and solving, at most
@@ -62,12 +58,44 @@ class Association:
         """Poses and lines."""
         return self.solution.state
 
+    @cached_property
+    def along(self) -> FloatArray:
+        """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings
+        of no line.
+
+        A beam with an opening angle meets its line at the nearest point inside of it.
+        """
+        met = expected(self.problem, self.state, self.labels).along
+        return np.where(self.labels >= 0, met, 0.0)
+
+    @cached_property
+    def seen(self) -> FloatArray:
+        """The ends of each line's readings from each side (m, 2, 2), m, without the outermost
+        reading at each end.
+
+        Where a side has few readings, these may be of another wall, and the side counts as not
+        seen.
+        """
+        problem = self.problem
+        state = self.state
+        headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+        cosines = np.cos(state.lines[self.labels, 1] - headings)
+        side = np.where(cosines < 0.0, POSITIVE, NEGATIVE)
+        sided = np.where(self.labels >= 0, 2 * self.labels + side, -1)
+        count = 2 * len(state.lines)
+        order = np.lexsort((self.along, sided))
+        order = order[sided[order] >= 0]
+        firsts = np.searchsorted(sided[order], np.arange(count + 1))
+        ends = np.tile([np.inf, -np.inf], (count, 1))
+        is_seen = np.diff(firsts) > _FEWEST_OF_SIDE
+        ends[is_seen, 0] = self.along[order][firsts[:-1][is_seen] + 1]
+        ends[is_seen, 1] = self.along[order][firsts[1:][is_seen] - 2]
+        return ends.reshape(-1, 2, 2)
+
 
 def reassociate(problem: Problem, state: State, labels: IntArray) -> Association:
     """Poses, lines and associations, from approximate poses and the first associations of some
     readings.
-
-    Each round merges lines, re-associates readings, solves, and divides bent lines.
 
     Parameters
     ----------
@@ -81,36 +109,35 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
     DegenerateError
         If the readings do not determine the poses.
     """
-    found = settled(solve_labels(problem, state, labels))
-    _, best = assigned(problem, found.state, seen_ends(problem, found.state, found.labels))
-    labels = with_new_lines(
-        problem, found.state, found.labels, np.flatnonzero((best < 0) & (found.labels < 0))
-    )
-    if np.array_equal(labels, found.labels):
-        return found
-    return settled(solve_again(problem, with_lines(problem, found.state, labels), labels))
+    association = settled(solve_labels(problem, state, labels))
+    _, best = assigned(association, association.seen)
+    unexplained = np.flatnonzero((best < 0) & (association.labels < 0))
+    labels = association.labels.copy()
+    for number, face in enumerate(
+        faces(problem, association.state, unexplained), len(association.state.lines)
+    ):
+        labels[face] = number
+    if np.array_equal(labels, association.labels):
+        return association
+    return settled(with_new_lines(association, labels))
 
 
-def settled(found: Association) -> Association:
+def settled(association: Association) -> Association:
     """Rounds of merging, assignment, solution and division until nothing changes any more."""
-    problem = found.problem
     for _ in range(_ROUNDS):
-        before = found.state.poses
-        merged, has_merged, kinds = merge(found)
-        seen = seen_ends(problem, merged.state, merged.labels)
-        if board_odds(0.0, *kinds) > SURE:
+        before = association.state.poses
+        merged, has_merged, kinds = merge(association)
+        seen = merged.seen
+        if prior_odds(*kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other
             # side.
-            seen[..., 0], seen[..., 1] = (
-                seen[..., 0].min(axis=1)[:, None],
-                seen[..., 1].max(axis=1)[:, None],
-            )
-        found = straightened(
-            solve_again(problem, merged.state, assigned(problem, merged.state, seen)[0])
-        )
-        if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
+            low = seen[..., 0].min(axis=1)
+            high = seen[..., 1].max(axis=1)
+            seen = np.tile(np.stack((low, high), axis=-1)[:, None], (1, 2, 1))
+        association = straightened(relabelled(merged, assigned(merged, seen)[0]))
+        if np.abs(association.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
-    return found
+    return association
 
 
 def solve_labels(problem: Problem, state: State, labels: IntArray) -> Association:
@@ -120,12 +147,14 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     Lines with too few readings are left out.
     """
     labels, _ = renumbered(labels)
-    bare = replace(state, lines=state.lines[:0], anchors=state.anchors[:0])
-    return Association(problem, solve(problem, with_lines(problem, bare, labels), labels), labels)
+    state = with_lines(problem, state.select(np.arange(0)), labels)
+    return Association(problem, solve(problem, state, labels), labels)
 
 
-def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
-    """The optimum for associations with the lines of a state; lines with too few readings are
+def relabelled(
+    association: Association, labels: IntArray, state: State | None = None
+) -> Association:
+    """The optimum for other associations with the lines of a state; lines with too few readings are
     removed.
 
     Raises
@@ -134,8 +163,15 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
         If no line is left, or the equations cannot be solved.
     """
     labels, kept = renumbered(labels)
-    state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
-    return Association(problem, solve(problem, state, labels), labels)
+    state = (state or association.state).select(kept)
+    return Association(association.problem, solve(association.problem, state, labels), labels)
+
+
+def with_new_lines(association: Association, labels: IntArray) -> Association:
+    """The optimum for associations with further lines, numbered after those of a solution."""
+    return relabelled(
+        association, labels, with_lines(association.problem, association.state, labels)
+    )
 
 
 def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
@@ -152,103 +188,68 @@ def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     on.
     """
     known = len(state.lines)
-    readings = problem.readings
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines = np.zeros((count, 2))
     anchors = np.zeros((count, 2))
-    distances = problem.true(readings.distances, readings.places, state.calibration)
-    rays = state.rays(readings.places, problem.beams, distances)
+    distances = problem.true(problem.readings, state.calibration)
+    rays = state.rays(problem.readings.places, problem.beams, distances)
     ends = rays[:, :2] + distances[:, None] * rays[:, 2:4]
     for number in np.unique(labels[labels >= known]).tolist():
         points = ends[labels == number]
-        lines[number - known, 1], anchors[number - known] = (
-            fit_line(points, 1.0).line[1],
-            points.mean(axis=0),
-        )
+        lines[number - known, 1] = fit_line(points, 1.0).line[1]
+        anchors[number - known] = points.mean(axis=0)
     return replace(
         state, lines=np.vstack((state.lines, lines)), anchors=np.vstack((state.anchors, anchors))
     )
 
 
-def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """Where each reading's beam meets its line (k,), m from the line's anchor; 0 for readings of no
-    line.
-
-    A beam with an opening angle meets its line at the nearest point inside of it.
-    """
-    return np.where(labels >= 0, expected(problem, state, labels).along, 0.0)
-
-
-def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """The ends of each line's readings from each side (m, 2, 2), m, without the outermost reading
-    at each end.
-
-    Where a side has few readings, these may be of another wall, and the side counts as not seen.
-    """
-    headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
-    side = np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
-    sided = np.where(labels >= 0, 2 * labels + side, -1)
-    along = places_along(problem, state, labels)
-    count = 2 * len(state.lines)
-    order = np.lexsort((along, sided))
-    order = order[sided[order] >= 0]
-    firsts = np.searchsorted(sided[order], np.arange(count + 1))
-    ends = np.tile([np.inf, -np.inf], (count, 1))
-    is_seen = np.diff(firsts) > _FEWEST_OF_SIDE
-    ends[is_seen, 0] = along[order][firsts[:-1][is_seen] + 1]
-    ends[is_seen, 1] = along[order][firsts[1:][is_seen] - 2]
-    return ends.reshape(-1, 2, 2)
-
-
-def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, IntArray]:
+def assigned(association: Association, ends: FloatArray) -> tuple[IntArray, IntArray]:
     """For each reading (k,), the line that predicts it, or -1 if none or two do; and the best one,
     or -1 if none does.
 
     A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
     ``_BEYOND`` outside.
     """
-    readings = problem.readings
-    distances = problem.true(readings.distances, readings.places, state.calibration)
-    rays = state.rays(readings.places, problem.beams, distances)
+    problem = association.problem
+    state = association.state
+    distances = problem.true(problem.readings, state.calibration)
+    rays = state.rays(problem.readings.places, problem.beams, distances)
     best = np.empty(len(rays), dtype=np.int64)
     misfits = np.empty((len(rays), 2))
     within = ends + np.array([-_BEYOND, _BEYOND])
     choose_lines(rays, state.line_rows, within, problem.sensor.cone, best, misfits)
     misfits /= np.sqrt(problem.variances(state, expected(problem, state, best)))[:, None]
-    is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
-    return np.where(is_clear, best, -1), np.where(misfits[:, 0] < _GATE, best, -1)
+    is_explained = misfits[:, 0] < _GATE
+    is_clear = is_explained & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
+    return np.where(is_clear, best, -1), np.where(is_explained, best, -1)
 
 
-def straightened(found: Association) -> Association:
-    """The optimum with bent lines divided."""
-    problem = found.problem
-    state = found.state
-    labels = _straight_labels(problem, state, found.labels)
-    if np.array_equal(labels, found.labels):
-        return found
-    return solve_again(problem, with_lines(problem, state, labels), labels)
-
-
-def _straight_labels(problem: Problem, state: State, labels: IntArray) -> IntArray:
-    """Labels (k,) in which bent lines are divided. Parts with too few readings for a line have no
-    line.
-    """
-    readings = expected(problem, state, labels)
-    along = places_along(problem, state, labels)
+def straightened(association: Association) -> Association:
+    """The optimum with bent lines divided. Parts with too few readings for a line have no line."""
+    readings = expected(association.problem, association.state, association.labels)
     cosines = readings.cosines
     # The distance of a reading from its line is the residual along the beam times the cosine.
-    variances = np.maximum(problem.variances(state, readings) * cosines**2, 1e-18)
-    points = np.stack((along, range_residuals(problem, readings) * cosines, 1.0 / variances))
-    order = np.lexsort((along, labels))
-    order = order[not_grazing(readings, labels)[order]]
-    result = labels.copy()
-    count = int(labels.max(initial=-1)) + 1
+    variances = np.maximum(
+        association.problem.variances(association.state, readings) * cosines**2, 1e-18
+    )
+    points = np.stack(
+        (association.along, residuals(association.problem, readings) * cosines, 1.0 / variances)
+    )
+    order = np.lexsort((association.along, association.labels))
+    order = order[not_grazing(readings, association.labels)[order]]
+    labels = association.labels.copy()
+    count = len(association.state.lines)
     for line in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
         for part in _straight_parts(points, line)[1:]:
-            result[part] = count
+            labels[part] = count
             count += 1
-    few = np.bincount(result[result >= 0], minlength=count) < FEWEST
-    return np.where(few[result], -1, result)
+    few = np.bincount(labels[labels >= 0], minlength=count) < FEWEST
+    labels = np.where(few[labels], -1, labels)
+    return (
+        association
+        if np.array_equal(labels, association.labels)
+        else with_new_lines(association, labels)
+    )
 
 
 def _straight_parts(points: FloatArray, line: IntArray) -> list[IntArray]:
@@ -278,22 +279,27 @@ def _misfits(sums: FloatArray) -> FloatArray:
     return np.asarray(wyy - wy * wy / w - (wsy - ws * wy / w) ** 2 / spread)
 
 
-def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
+def merge(association: Association) -> tuple[Association, bool, tuple[float, float]]:
     """Merge the lines that may be one wall; whether there were such lines, and the lengths of
     boards and walls, m.
 
     Each merge updates all lines through their joint covariance. Poses and lines are solved for
     again when a line has moved far. This repeats until no pair can merge.
     """
-    problem = found.problem
     has_merged = False
     while True:
-        state = found.state
-        seen = seen_ends(problem, state, found.labels)
-        lines = Lines(state.lines.copy(), state.anchors, seen, found.solution.of_lines.copy())
+        state = association.state
+        lines = Lines(
+            state.lines.copy(),
+            state.anchors,
+            association.seen.copy(),
+            association.solution.of_lines,
+        )
         kinds = wall_kinds(lines)
         if not merge_lines(lines, kinds):
-            return found, has_merged, kinds
-        labels = np.where(found.labels >= 0, lines.merged_into[found.labels], -1)
-        found = solve_again(problem, state, labels)
+            return association, has_merged, kinds
+        association = relabelled(
+            association,
+            np.where(association.labels >= 0, lines.merged_into[association.labels], -1),
+        )
         has_merged = True
