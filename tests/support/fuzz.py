@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from support.bags import distance, odometry, scan, storage_of, write_bag
+from support.data import own_log
 
 from benchmarks.suite.store import read_rows
 from benchmarks.suite.suite import load_suite
@@ -30,7 +31,7 @@ from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.policies.learned.learned import SHIPPED, WEIGHTS
 from limslam_agent.policies.learned.network import load_network
-from limslam_env import RobotSpec, load_world
+from limslam_env import load_world
 from limslam_env.messages import LONGEST_MESSAGE
 
 LONGEST_S = 5
@@ -116,23 +117,10 @@ def _content(folder: Path) -> dict[str, bytes]:
     }
 
 
-def _npz(**arrays: Any) -> bytes:
-    file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
-    return file.getvalue()
-
-
 def _log_npz() -> bytes:
-    return _npz(
-        time=np.arange(5.0),
-        ranges=np.ones((5, 6)),
-        wheels=np.zeros((5, 2)),
-        action=np.zeros((5, 2)),
-        true_pose=np.zeros((5, 3)),
-        wall_seen=np.zeros((5, 6)),
-        robot=RobotSpec().to_json(),
-        start_pose=np.zeros(3),
-    )
+    file = io.BytesIO()
+    np.savez_compressed(file, **own_log(5))
+    return file.getvalue()
 
 
 WORLD = (
