@@ -163,8 +163,8 @@ def test_readings(seed: int) -> None:
     readings = np.empty(count)
     measured = is_new.copy()
     hits = np.zeros(count, dtype=bool)
-    limits = SIX.min_ranges, SIX.max_ranges, SIX.too_near, SIX.too_far
-    refused = sort_readings(values, *limits, 0.0, new_repeats(count), readings, measured, hits)
+    limits = np.array([SIX.min_ranges, SIX.max_ranges, SIX.too_near, SIX.too_far])
+    refused = sort_readings(values, limits, 0.0, new_repeats(count), readings, measured, hits)
     expected = as_readings(values, SIX.min_ranges, SIX.max_ranges)
     np.testing.assert_array_equal(readings, expected)
     assert refused == np.count_nonzero(np.isnan(expected))

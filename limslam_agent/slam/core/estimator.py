@@ -234,27 +234,14 @@ class Estimator:
         position than the body's radius plus a margin for the uncertainty of both positions, the
         same as that of beams that pass through walls.
         """
-        from limslam_agent.kernels.nearness import beams_on_robot
+        from limslam_agent.kernels.nearness import beams_on_robots
 
         poses = self.poses
         covariance = self.filter.joint_pose_covariance
         robot = self.robot
-        margins = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK)
-        numbers = range(len(poses))
+        sizes = (*self.sensor.numbers, float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK)
         for number, front in enumerate(self.robots):
             ranges = np.where(front.measured, front.ranges, robot.max_ranges)
             found = np.zeros(len(robot.beams), bool)
-            for other in (other for other in numbers if other != number):
-                beams_on_robot(
-                    poses[number],
-                    poses[other],
-                    ranges,
-                    robot.beam_table,
-                    self.sensor.numbers,
-                    covariance,
-                    POSE * number,
-                    POSE * other,
-                    margins,
-                    found,
-                )
+            beams_on_robots(poses, covariance, number, ranges, robot.beam_table, sizes, found)
             front.drop(found)

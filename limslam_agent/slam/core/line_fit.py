@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.shared import HoughConfig
+from limslam_agent.kernels.tables import LineRules
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction
 
@@ -91,15 +92,15 @@ def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[E
     """
     from limslam_agent.kernels import lines
 
-    owner, found, _ = lines.extract_lines(
-        points,
+    rules = LineRules(
         float(config.max_gap),
+        float(max_distance(config, std)),
+        float(config.min_length),
         config.min_votes,
         float(bin_size(config, std)),
         float(config.theta_step),
-        float(max_distance(config, std)),
-        float(config.min_length),
         config.only_best,
     )
+    owner, found, _ = lines.extract_lines(points, rules)
     parts = [np.flatnonzero(owner == line) for line in range(len(found))]
     return [ExtractedLine(fit_line(points[part], std), part) for part in parts]

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.kernels import lines
 from limslam_agent.kernels.compilation import entry
+from limslam_agent.kernels.tables import LineRules
 from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines, fit_line
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.geometry import line as line_geometry
@@ -138,7 +139,8 @@ def test_votes_are_those_of_opencv() -> None:
             max_theta=math.pi,
             theta_step=math.pi / 90,
         )
-        found = hough_votes(points, votes, 0.06, math.pi / 90)
+        rules = LineRules(0.0, 0.0, 0.0, votes, 0.06, math.pi / 90, only_best=False)
+        found = hough_votes(points, rules)
         expected = expected.reshape(-1, 3)
         np.testing.assert_allclose(
             found, expected[np.argsort(-expected[:, 0], kind="stable"), 1:], atol=1e-6
