@@ -75,6 +75,18 @@ class LocalMapConfig(Bounded):
     cell: Positive = 0.1
     hit_radius: NonNegative = 0.15
 
+    @property
+    def length(self) -> float:
+        """Distance driven in a chunk, m."""
+        return 2.0 * self.half
+
+    @property
+    def another_visit(self) -> float:
+        """After this distance driven, m, what is seen again is another visit of its place: two
+        chunks show nothing that was seen in between.
+        """
+        return 2.0 * self.length - 0.5
+
 
 @dataclass(frozen=True)
 class ReversingConfig(Bounded):

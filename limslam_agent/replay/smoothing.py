@@ -59,9 +59,7 @@ def smoothed_by_graph(
     recorded = log_data(log, replay.odometry, replay.config.range_std)
     data = with_reversing(recorded, config)
     found, signals = trusted_path(data, log.start_pose, config, report)
-    landmarks = draw_walls(
-        point_cloud(found.keys, found.trajectory, data.range_std), data.range_std
-    )
+    landmarks = draw_walls(point_cloud(found.keys, found.trajectory), data.range_std)
     smoothed = Smoothed(
         found.poses,
         {**_figures(found), **_reversing(recorded, data), **signals.figures},
@@ -90,17 +88,17 @@ def trusted_path(
     As long as it is doubtful, there are more rounds, and the path is taken that is off least
     likely, which may be that of odometry.
     """
-    known = (data.time - data.time[0], config, (data.max_range, data.range_std))
+    since = data.time - data.time[0]
     found = []
     for path in islice(rounds(data, start, config, report), 1 + _MORE_ROUNDS):
-        found.append((path, path_signals(path, *known)))
+        found.append((path, path_signals(path, since)))
         if found[-1][1].status.level == "ok":
             return found[-1]
     blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
     keys = found[0][0].keys
     path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
-    covariance = path_signals(blind, *known).covariance
-    found.append((path, replace(path_signals(path, *known), covariance=covariance)))
+    covariance = path_signals(blind, since).covariance
+    found.append((path, replace(path_signals(path, since), covariance=covariance)))
     return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.map_graph.agreement import visit_counts
 from limslam_agent.slam.map_graph.posterior import position_covariance
 from limslam_agent.slam.map_graph.stages import GraphResult
@@ -123,13 +122,7 @@ class PathSignals:
         }
 
 
-def path_signals(
-    found: GraphResult,
-    time: FloatArray,
-    config: GraphConfig,
-    sensor: tuple[float, float],
-    seam: int = 0,
-) -> PathSignals:
+def path_signals(found: GraphResult, time: FloatArray, seam: int = 0) -> PathSignals:
     """What speaks for or against a path.
 
     Parameters
@@ -138,26 +131,22 @@ def path_signals(
         The smoothed log, or two logs that were smoothed as one.
     time
         Times of all events (n,), s from the beginning of their log.
-    config
-        The settings.
-    sensor
-        Longest range, m, and standard deviation of a range, m.
     seam
         The key pose at which a second log begins; zero if there is none.
     """
     keys = found.keys
     path = found.trajectory
     loops = found.relations[0]
-    visits = visit_counts(keys, path, config, sensor[0])
+    visits = visit_counts(keys, path)
     times = time[keys.first_event]
     loose = times[list(longest_loose(keys.key_travel, loops))].tolist()
     breaks = keys.breaks[keys.breaks != seam]
     return PathSignals(
         driven=keys.driven,
-        points=len(keys.point_key),
+        points=len(keys.point_event),
         confirmed=visits.shares[0],
         contradicted=visits.shares[1],
-        covariance=position_covariance(keys, path, found.relations, config, sensor[1]),
+        covariance=position_covariance(keys, path, found.relations),
         loose=None if seam else tuple(loose),
         doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
         untied=tuple(times[_untied(breaks, loops)].tolist()),

@@ -16,7 +16,7 @@ from limslam_agent.places.localisation import LARGEST_RUNNER_UP, LEAD, KnownPlac
 from limslam_agent.record import Scan
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.map_graph.agreement import AGREE_DISTANCE, AGREE_TURN
+from limslam_agent.slam.map_graph.agreement import agree
 from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
@@ -127,21 +127,17 @@ def _agreements(fits: list[_Fit]) -> BoolArray:
     """Which fits (k, k) are of the same place. Those of the same stretch agree only with
     themselves.
 
-    The place of one predicts that of the other as two loops do. What the turn makes of the distance
-    between them is added, because each log may be bent.
+    The place of one predicts that of the other as two loops do.
     """
     poses = np.array([each.fit.pose for each in fits])
     middles = np.array([each.middle for each in fits])
     placed = np.column_stack((middles, np.zeros(len(fits))))
     predicted = se2.compose(poses[:, None], placed[None])
-    own = se2.compose(poses, placed)
-    off = se2.between(predicted, np.broadcast_to(own[None], predicted.shape))
-    between = middles[:, None] - middles[None]
-    far = AGREE_DISTANCE + AGREE_TURN * np.hypot(*np.moveaxis(between, -1, 0))
-    agree = (np.hypot(off[..., 0], off[..., 1]) < far) & (np.abs(off[..., 2]) < AGREE_TURN)
+    between = np.hypot(*np.moveaxis(middles[:, None] - middles[None], -1, 0))
+    agreed = agree(predicted, se2.compose(poses, placed)[None], between)
     stretches = np.array([each.stretch for each in fits])
     return np.asarray(
-        (agree & agree.T & (stretches[:, None] != stretches[None]))
+        (agreed & agreed.T & (stretches[:, None] != stretches[None]))
         | np.eye(len(fits), dtype=np.bool_)
     )
 

@@ -14,13 +14,15 @@ poses, and right loops would be rejected.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
+from limslam_agent.config.graph import LocalMapConfig
 from limslam_agent.slam.graph.factors import Relations, cauchy, relation
 from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
 from limslam_agent.slam.map_graph.factors import loop_kernel
-from limslam_agent.slam.map_graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, integrate
+from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory, integrate
 from limslam_agent.slam.map_graph.local_maps import LocalMap
 from limslam_agent.slam.map_graph.matching import (
     Match,
@@ -47,14 +49,9 @@ _ITERATIONS = 8
 _TOLERANCE = 1e-3
 KEPT_WEIGHT = 0.3
 """Loops with a lower weight are not used further."""
-_GATE = (
-    2.5  # m: chunks within this distance show the same place, however well their poses are known
-)
 # the part that does not depend on the uncertainty, m and rad
 _LEAST_WINDOW = 0.6
 _LEAST_TURN = math.radians(8.0)
-TURN_STEP = math.radians(3.0)
-"""Step of the turns of a match, rad."""
 # How far from its believed pose a chunk is searched for: standard deviations that are added to the
 # gate and to the window; the largest distance between two chunks, m; and the largest window, m and
 # rad.
@@ -65,13 +62,11 @@ _MOST_TURN = math.radians(35.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
-_BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
+_BACKWARD_WINDOW = Window(0.3, math.radians(4.0))
 
 
+# chunks in which the newest one is searched, and search grids that are kept, 0.2 MB each
 _MOST_SEARCHED = 150
-"""Number of chunks in which the newest one is searched, and of search grids that are kept, 0.2 MB
-each.
-"""
 
 NO_SUPPORT = "no other loop nearby agrees"
 OUTVOTED = "its weight in the graph of chunks is too low"
@@ -147,13 +142,14 @@ def carry_over(
     """
     old = trajectory.poses
     travel = keys.key_travel
-    numbers = np.arange(len(keys))
-    before = np.clip(np.searchsorted(middles, numbers, side="right") - 1, 0, len(middles) - 1)
-    after = np.minimum(before + 1, len(middles) - 1)
-    span = np.maximum(travel[middles[after]] - travel[middles[before]], 1e-9)
-    share = np.clip((travel - travel[middles[before]]) / span, 0.0, 1.0)
-    moved = se2.compose(poses[before], se2.between(old[middles[before]], old))
-    other = se2.compose(poses[after], se2.between(old[middles[after]], old))
+    last = len(middles) - 1
+    before = np.clip(np.searchsorted(middles, np.arange(len(keys)), side="right") - 1, 0, last)
+    after = np.minimum(before + 1, last)
+    begin = travel[middles[before]]
+    share = np.clip((travel - begin) / np.maximum(travel[middles[after]] - begin, 1e-9), 0.0, 1.0)
+    moved, other = (
+        se2.compose(poses[ends], se2.between(old[middles[ends]], old)) for ends in (before, after)
+    )
     apart = other - moved
     apart[:, 2] = se2.wrap_angle(apart[:, 2])
     moved += share[:, None] * apart
@@ -182,6 +178,8 @@ class ChunkGraph:
     ----------
     chunk, pose
         The first chunk and its pose (3,), which is fixed.
+    config
+        The settings of chunks.
 
     Attributes
     ----------
@@ -195,12 +193,13 @@ class ChunkGraph:
         All loops that the search has accepted, both right and wrong.
     """
 
-    def __init__(self, chunk: LocalMap, pose: FloatArray) -> None:
+    def __init__(self, chunk: LocalMap, pose: FloatArray, config: LocalMapConfig) -> None:
         self.maps = [chunk]
         self.poses = pose[None]
         self.hops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3)))
         self.loops = list[Loop]()
-        self._grids = dict[int, SearchGrid]()
+        self._config = config
+        self._grid = lru_cache(_MOST_SEARCHED)(self._search_grid)
 
     @property
     def position_std(self) -> float:
@@ -258,47 +257,47 @@ class ChunkGraph:
 
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""
-        candidates: list[tuple[int, Match]] = []
         newest = len(self.maps) - 1
         travel = np.array([each.travel for each in self.maps])
-        old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
+        is_old = travel[newest] - travel[: newest - 1] >= self._config.another_visit
+        old = np.flatnonzero(is_old)
         guesses = se2.between(self.poses[old], self.poses[newest])
-        distance = np.hypot(guesses[:, 0], guesses[:, 1])
-        searched = _some_near(distance)
+        searched = _some_near(np.hypot(guesses[:, 0], guesses[:, 1]))
         if not len(searched):
             return []
         old = old[searched]
         guesses = guesses[searched]
-        distance = distance[searched]
         position_std, turn_std = self._stds_from(old)
-        least, _ = SCORES
-        for row in np.nonzero(distance <= _GATE + _SIGMAS * position_std)[0]:
-            shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
-            turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
-            window = Window(shift, turn, TURN_STEP)
-            found = match(
-                self._grid(int(old[row])), self.maps[newest].points, guesses[row], window, least
-            )
-            if found.score > least:
-                candidates.append((int(old[row]), found))
-        candidates.sort(key=lambda each: -each[1].score)
-        loops = [self._loop(first, newest, found) for first, found in candidates[:_BEST]]
+        # Chunks within a hop show the same place, however well their poses are known.
+        near = np.hypot(guesses[:, 0], guesses[:, 1]) <= self._config.hop + _SIGMAS * position_std
+        shifts = np.minimum(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std)
+        turns = np.minimum(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std)
+        points = self.maps[newest].points
+        matches = []
+        for row in np.flatnonzero(near):
+            window = Window(float(shifts[row]), float(turns[row]))
+            first = int(old[row])
+            best = match(self._grid(first), points, guesses[row], window, SCORES[0])
+            matches.append((best, first))
+        matches.sort(key=lambda each: -each[0].score)
+        loops = [self._loop(first, newest, best) for best, first in matches[:_BEST]]
         return [loop for loop in loops if loop is not None]
 
-    def _loop(self, first: int, second: int, found: Match) -> Loop | None:
-        """A loop with the covariance of its match; None if the chunks do not match in the opposite
-        direction.
+    def _loop(self, first: int, second: int, best: Match) -> Loop | None:
+        """A loop with the covariance of its match; None if the chunks do not match in both
+        directions.
         """
+        least, least_back = SCORES
+        if best.score <= least:
+            return None
         back = self._grid(second)
         others = self.maps[first].points
-        _, least = SCORES
-        again = match(back, others, se2.inverse(found.pose), _BACKWARD_WINDOW, least)
-        if again.score < least:
+        again = match(back, others, se2.inverse(best.pose), _BACKWARD_WINDOW, least_back)
+        if again.score < least_back:
             return None
-        grid = self._grid(first)
         points = self.maps[second].points
-        mean, covariance = match_covariance(grid, points, found.pose, TURN_STEP, (back, others))
-        return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score)
+        mean, covariance = match_covariance(self._grid(first), points, best.pose, (back, others))
+        return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), best.score)
 
     def _stds_from(self, old: IntArray) -> tuple[FloatArray, FloatArray]:
         """Standard deviations (k,), m and rad, of the newest chunk's pose in the frames of old
@@ -309,14 +308,9 @@ class ChunkGraph:
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
         return position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 
-    def _grid(self, number: int) -> SearchGrid:
-        """The search grid of a chunk; the latest ones are kept."""
+    def _search_grid(self, number: int) -> SearchGrid:
         chunk = self.maps[number]
-        found = self._grids.pop(number, None)
-        self._grids[number] = found or search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
-        if len(self._grids) > _MOST_SEARCHED:
-            del self._grids[next(iter(self._grids))]
-        return self._grids[number]
+        return search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
 
 
 def _some_near(distance: FloatArray) -> IntArray:
@@ -329,11 +323,13 @@ def _some_near(distance: FloatArray) -> IntArray:
     return np.sort(near[np.argsort(distance[near], kind="stable")[chosen]])
 
 
-def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> list[Loop]:
+def search_loops(
+    maps: Sequence[LocalMap], start: FloatArray, hops: Hops, config: LocalMapConfig
+) -> list[Loop]:
     """All loops that the search accepts between chunks (c,), of which the first one has the pose
     ``start`` (3,).
     """
-    graph = ChunkGraph(maps[0], start)
+    graph = ChunkGraph(maps[0], start, config)
     for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
         graph.add(chunk, motion[None], covariance)
     return graph.loops

@@ -8,13 +8,7 @@ import numpy as np
 
 from limslam_agent.slam.graph.factors import dynamic_covariance_scaling, relation
 from limslam_agent.slam.graph.graph import Factors, Keys, RobustKernel
-from limslam_agent.slam.map_graph.key_poses import (
-    ERRORS,
-    KeyPoses,
-    Trajectory,
-    calibrated_rates,
-    calibrated_steps,
-)
+from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.point_links import PointCloud
 from limslam_agent.slam.map_graph.wall_lines import WallLines
 from limslam_env.geometry import FloatArray, IntArray
@@ -30,23 +24,13 @@ def loop_kernel(widening: float = 1.0) -> RobustKernel:
 def odometry(keys: KeyPoses, trajectory: Trajectory) -> Factors:
     """The motions by odometry between key poses, which depend on its constant errors."""
     first = np.arange(len(keys) - 1)
-    steps = calibrated_steps(keys, trajectory.bias)
+    steps = keys.steps.calibrated(trajectory.bias)
     by_poses = relation(trajectory.poses, np.column_stack((first, first + 1)), steps)
-    by_bias = np.zeros((len(first), 3, ERRORS))
-    # The derivative of the calibrated step by the heading bias: half the missing heading rotates
-    # the step.
-    by_bias[:, 0, 0] = 0.5 * keys.step_forward * steps[:, 1]
-    by_bias[:, 1, 0] = -0.5 * keys.step_forward * steps[:, 0]
-    by_bias[:, 2, 0] = -keys.step_forward
-    by_bias[:, :2, 1] = -steps[:, :2] / (1.0 + trajectory.bias[1])
-    by_bias[:, 2, 2] = -keys.step[:, 2] - trajectory.bias[3] * keys.step_rate[:, 2]
-    by_bias[:, :, 3] = -calibrated_rates(keys, trajectory.bias)
-    by_bias[:, 0, 4] = steps[:, 1]
-    by_bias[:, 1, 4] = -steps[:, 0]
+    by_errors = -keys.steps.by_errors(trajectory.bias)
     return Factors(
         (*by_poses.keys, ("errors", np.zeros_like(first))),
         by_poses.errors,
-        np.concatenate((by_poses.jacobian, by_bias), axis=2),
+        np.concatenate((by_poses.jacobian, by_errors), axis=2),
         (1.0 / keys.step_variances)[:, :, None] * np.eye(3),
     )
 

@@ -2,17 +2,17 @@
 these poses.
 
 A new key pose begins after some driving or turning. Between two key poses, the events follow
-odometry. Odometry is corrected for its constant errors: a heading bias per metre, a scale of
-distances, a gain of turns, the delay of the ranges (a scan is sent and given its time while
-odometry is already newer), and the direction of driving (the beams may be mounted at an angle).
+odometry, corrected for its constant errors.
 """
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.graph import PointConfig
+from limslam_agent.config.graph import GraphConfig
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
@@ -36,8 +36,6 @@ STANDING = 1e-6
 """Smaller motions between two events, m and rad, are rounding errors."""
 ERRORS = 5
 """Number of constant errors of odometry that are estimated."""
-ANOTHER_VISIT = 13.5
-"""After this distance driven, m, what is seen again is another visit of its place."""
 APART = 1000.0
 """Distance driven, m, that is taken to lie between two logs that are solved as one, and at a break
 of odometry in a log.
@@ -72,44 +70,115 @@ class LogData:
         apart[self.breaks] = APART
         return apart
 
+    @cached_property
+    def moves(self) -> FloatArray:
+        """Motions (n - 1, 3) of odometry from event to event."""
+        return se2.between(self.odometry[:-1], self.odometry[1:])
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """What the beams have met (n, b, 2), m, in the robot's frame."""
+        rays = np.column_stack((np.cos(self.angles), np.sin(self.angles)))
+        return np.asarray(self.origins + self.ranges[..., None] * rays)
+
+
+class Motions(NamedTuple):
+    """Motions by odometry (k, 3), which have constant errors.
+
+    The errors (5,) are the missing heading per metre, rad/m, the share of distances, the share of
+    turns, the delay of the ranges, s (a scan is sent and given its time while odometry is already
+    newer), and the direction in which the robot drives when odometry says ahead, rad, in the frame
+    of the beams (which may be mounted at an angle).
+    """
+
+    reported: FloatArray
+    forward: FloatArray  # distances (k,) driven forward, m
+    by_delay: FloatArray  # derivatives (k, 3) by the delay of the ranges, per s
+
+    def calibrated(self, errors: FloatArray) -> FloatArray:
+        """The motions (k, 3), corrected. Their directions are rotated by half of the missing
+        heading and by the error of the direction.
+        """
+        turn, scale, gain, delay, direction = errors
+        x, y, heading = (self.reported + delay * self.by_delay).T
+        half = 0.5 * turn * self.forward + direction
+        cos = np.cos(half)
+        sin = np.sin(half)
+        return np.column_stack(
+            (
+                (1.0 + scale) * (cos * x - sin * y),
+                (1.0 + scale) * (sin * x + cos * y),
+                (1.0 + gain) * heading + turn * self.forward,
+            )
+        )
+
+    def by_errors(self, errors: FloatArray) -> FloatArray:
+        """Derivatives (k, 3, 5) of the corrected motions by the errors."""
+        motions = self.calibrated(errors)
+        aside = np.column_stack((-motions[:, 1], motions[:, 0]))
+        by_errors = np.zeros((len(motions), 3, ERRORS))
+        # Half the missing heading rotates the motion.
+        by_errors[:, :2, 0] = 0.5 * self.forward[:, None] * aside
+        by_errors[:, 2, 0] = self.forward
+        by_errors[:, :2, 1] = motions[:, :2] / (1.0 + errors[1])
+        by_errors[:, 2, 2] = self.reported[:, 2] + errors[3] * self.by_delay[:, 2]
+        by_errors[:, :, 3] = self._replace(reported=self.by_delay).calibrated(
+            errors * (1.0, 1.0, 1.0, 0.0, 1.0)
+        )
+        by_errors[:, 2, 3] -= errors[0] * self.forward
+        by_errors[:, :2, 4] = aside
+        return by_errors
+
 
 @dataclass(frozen=True, eq=False)
 class KeyPoses:
-    """The constant part of the problem: m key poses, n events, p points."""
+    """The constant part of the problem: m key poses, n events, p points.
 
-    # event_key, first_event: the key pose (n,) of each event, and the first event (m,) of each key
-    # pose
+    Attributes
+    ----------
+    data, config
+        The log, and the settings.
+    event_key, first_event
+        The key pose (n,) of each event, and the first event (m,) of each key pose.
+    share
+        Share (n,) of the way from its key pose to the next that lies before each event.
+    step_variances
+        Variances (m - 1, 3) of the odometry from each key pose to the next.
+    travel
+        Length (n,) of the path up to each event, m, with ``APART`` for each break of odometry.
+    point_event, point_beam
+        Event and beam (p,) of each point, in the order of events.
+    """
+
+    data: LogData
+    config: GraphConfig
     event_key: IntArray
     first_event: IntArray
-    # offset, offset_forward: odometry pose (n, 3) of each event in the frame of its key pose;
-    # distance (n,) driven forward since the key pose, m
-    offset: FloatArray
-    offset_forward: FloatArray
-    share: FloatArray  # share (n,) of the way from its key pose to the next that lies before it
-    # step, step_forward, step_variances: odometry motion (m - 1, 3) from each key pose to the next;
-    # its distance (m - 1,), m, and its variances (m - 1, 3)
-    step: FloatArray
-    step_forward: FloatArray
+    share: FloatArray
     step_variances: FloatArray
-    # offset_rate, step_rate: derivatives (n, 3) and (m - 1, 3) of ``offset`` and ``step`` by the
-    # delay of the ranges, per s
-    offset_rate: FloatArray
-    step_rate: FloatArray
-    # length (n,) of the path up to each event, m, with ``APART`` for each break of odometry
     travel: FloatArray
-    # point_event, point_key, point_travel: event, key pose and travel (p,) of each point; points
-    # are in the order of events
     point_event: IntArray
-    point_key: IntArray
-    point_travel: FloatArray
-    # in_robot, origin_in_robot: each point (p, 2) and the origin of its beam (p, 2), in the robot's
-    # frame at its event, m
-    in_robot: FloatArray
-    origin_in_robot: FloatArray
+    point_beam: IntArray
 
     def __len__(self) -> int:
         """The number of key poses."""
         return len(self.first_event)
+
+    @cached_property
+    def steps(self) -> Motions:
+        """The motions from each key pose to the next."""
+        return _motions(self.data, self.first_event[:-1], self.first_event[1:])
+
+    @cached_property
+    def offsets(self) -> Motions:
+        """The motions from its key pose to each event."""
+        events = np.arange(len(self.event_key))
+        return _motions(self.data, self.first_event[self.event_key], events)
+
+    @property
+    def point_key(self) -> IntArray:
+        """The key pose (p,) of each point."""
+        return np.asarray(self.event_key[self.point_event])
 
     @property
     def key_travel(self) -> FloatArray:
@@ -138,11 +207,8 @@ class KeyPoses:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The estimate: key poses (m, 3) and the ``bias`` (5,) of odometry.
-
-    The bias is the missing heading per metre, rad/m, the share of distances, the share of turns,
-    the delay of the ranges, s (a range was measured this long before its time), and the direction
-    in which the robot drives when odometry says ahead, rad, in the frame of the beams.
+    """The estimate: key poses (m, 3) and the constant errors ``bias`` (5,) of odometry, those of
+    :class:`Motions`.
     """
 
     poses: FloatArray
@@ -153,45 +219,31 @@ class Trajectory:
         return Trajectory(se2.compose(motion, self.poses), self.bias)
 
 
-def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
-    """Divide a log into key poses, and collect the points of its scans."""
-    count = len(data.time)
-    moves = np.zeros((count, 3))
-    moves[1:] = se2.between(data.odometry[:-1], data.odometry[1:])
+def choose_keys(data: LogData, config: GraphConfig) -> KeyPoses:
+    """Divide a log into key poses, and choose the points of its scans."""
+    moves = np.vstack((np.zeros(3), data.moves))
     length = np.hypot(moves[:, 0], moves[:, 1])
     turn = np.abs(moves[:, 2])
     variances = motion_variances(length, turn)
     variances[data.breaks] = data.break_stds**2
-    way = length + data.apart
-    driven = float(np.cumsum(length)[-1])
     # After a break, a key pose begins, and the beams see something new.
-    key = _count_ups(way, turn, KEY_DISTANCE, KEY_TURN)
+    way = length + data.apart
+    everywhere = np.ones((len(way), 1), dtype=np.bool_)
+    key = np.cumsum(_spaced(everywhere, way, turn, KEY_DISTANCE, KEY_TURN)) - 1
     first = np.searchsorted(key, np.arange(key[-1] + 1))
-    travel = np.cumsum(way)
-    forward = np.cumsum(moves[:, 0])
-    first_of = first[key]
-    offset_rate = _rates(data, first_of, np.arange(count))
-    step_rate = _rates(data, first[:-1], first[1:])
     points = _spaced(data.hit, way, turn, _POINT_DISTANCE, _POINT_TURN)
-    event, beam = np.nonzero(_thinned(points, max(driven, 1.0) * config.points_per_metre))
-    direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
+    most = max(float(np.cumsum(length)[-1]), 1.0) * config.keys.points_per_metre
+    event, beam = np.nonzero(_thinned(points, most))
     return KeyPoses(
+        data=data,
+        config=config,
         event_key=key,
         first_event=first,
-        offset=se2.between(data.odometry[first_of], data.odometry),
-        offset_forward=forward - forward[first_of],
         share=_shares(length / KEY_DISTANCE + turn / KEY_TURN, data.breaks, key, first),
-        step=se2.between(data.odometry[first[:-1]], data.odometry[first[1:]]),
-        step_forward=np.diff(forward[first]),
         step_variances=np.diff(np.cumsum(variances, axis=0)[first], axis=0),
-        offset_rate=offset_rate,
-        step_rate=step_rate,
-        travel=travel,
+        travel=np.cumsum(way),
         point_event=event,
-        point_key=key[event],
-        point_travel=travel[event],
-        in_robot=data.origins[beam] + data.ranges[event, beam][:, None] * direction[beam],
-        origin_in_robot=data.origins[beam],
+        point_beam=beam,
     )
 
 
@@ -226,14 +278,20 @@ def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:
     )
 
 
-def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
-    """Derivatives (k, 3) of the motions between events (k,) by the delay of the ranges, per s."""
-    if not _has_times(data):
-        return np.zeros((len(first), 3))
-    later, earlier = (delayed(data, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
-    change = se2.between(later[first], later[second]) - se2.between(earlier[first], earlier[second])
-    change[:, 2] = se2.wrap_angle(change[:, 2])
-    return np.asarray(change / (2.0 * _DELAY_STEP))
+def _motions(data: LogData, first: IntArray, second: IntArray) -> Motions:
+    """The motions between events (k,)."""
+    forward = np.cumsum(np.append(0.0, data.moves[:, 0]))
+    by_delay = np.zeros((len(first), 3))
+    if _has_times(data):
+        later, earlier = (
+            se2.between(poses[first], poses[second])
+            for poses in (delayed(data, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
+        )
+        by_delay = later - earlier
+        by_delay[:, 2] = se2.wrap_angle(by_delay[:, 2])
+        by_delay /= 2.0 * _DELAY_STEP
+    reported = se2.between(data.odometry[first], data.odometry[second])
+    return Motions(reported, forward[second] - forward[first], by_delay)
 
 
 def _has_times(data: LogData) -> bool:
@@ -267,50 +325,15 @@ def delayed(data: LogData, delay: float) -> LogData:
     return replace(data, odometry=poses)
 
 
-def calibrated_steps(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Odometry motions (m - 1, 3) from each key pose to the next, corrected for the constant
-    errors.
-    """
-    return _calibrated(keys.step + bias[3] * keys.step_rate, keys.step_forward, bias)
+def calibrated(moves: FloatArray, errors: FloatArray) -> FloatArray:
+    """Short motions (k, 3) by odometry without delay, corrected for the constant errors."""
+    return Motions(moves, moves[:, 0], np.zeros_like(moves)).calibrated(errors)
 
 
-def calibrated_rates(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Derivatives (m - 1, 3) of the corrected motions from each key pose to the next by the delay,
-    per s.
-    """
-    rates = _calibrated(keys.step_rate, keys.step_forward, bias)
-    rates[:, 2] -= bias[0] * keys.step_forward
-    return rates
-
-
-def event_offsets(keys: KeyPoses, bias: FloatArray) -> FloatArray:
-    """Poses (n, 3) of all events in the frames of their key poses, by corrected odometry."""
-    return _calibrated(keys.offset + bias[3] * keys.offset_rate, keys.offset_forward, bias)
-
-
-def calibrated_motion(motion: FloatArray, bias: FloatArray) -> FloatArray:
-    """A short motion (3,) by odometry without delay, corrected for the constant errors."""
-    return np.asarray(_calibrated(motion[None], motion[None, 0], bias)[0])
-
-
-def _calibrated(motion: FloatArray, forward: FloatArray, bias: FloatArray) -> FloatArray:
-    """Correct a motion. Its direction is rotated by half of the missing heading and by the error of
-    the direction.
-    """
-    turn, scale, gain, _, direction = bias
-    half = 0.5 * turn * forward + direction
-    cos = np.cos(half)
-    sin = np.sin(half)
-    x = (1.0 + scale) * (cos * motion[:, 0] - sin * motion[:, 1])
-    y = (1.0 + scale) * (sin * motion[:, 0] + cos * motion[:, 1])
-    return np.column_stack((x, y, (1.0 + gain) * motion[:, 2] + turn * forward))
-
-
-def corrected(data: LogData, bias: FloatArray) -> LogData:
+def corrected(data: LogData, errors: FloatArray) -> LogData:
     """The log with its odometry corrected for the constant errors."""
-    odometry = delayed(data, bias[3]).odometry
-    moves = se2.between(odometry[:-1], odometry[1:])
-    return replace(data, odometry=integrate(odometry[0], _calibrated(moves, moves[:, 0], bias)))
+    data = delayed(data, errors[3])
+    return replace(data, odometry=integrate(data.odometry[0], calibrated(data.moves, errors)))
 
 
 def joined_bias(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -334,14 +357,14 @@ def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
 
 def odometry_trajectory(keys: KeyPoses, start: FloatArray) -> Trajectory:
     """The trajectory by odometry alone."""
-    bias = np.zeros(ERRORS)
-    return Trajectory(integrate(start, calibrated_steps(keys, bias)), bias)
+    return Trajectory(integrate(start, keys.steps.reported), np.zeros(ERRORS))
 
 
 def points_in_keys(keys: KeyPoses, bias: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points and the origins of their beams, both (p, 2) m, in the frames of their key poses."""
-    offset = event_offsets(keys, bias)[keys.point_event]
-    return to_world(offset, keys.in_robot), to_world(offset, keys.origin_in_robot)
+    offset = keys.offsets.calibrated(bias)[keys.point_event]
+    points = keys.data.points[keys.point_event, keys.point_beam]
+    return to_world(offset, points), to_world(offset, keys.data.origins[keys.point_beam])
 
 
 def to_world(poses: FloatArray, points: FloatArray) -> FloatArray:
@@ -362,33 +385,13 @@ def event_poses(keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
     """
     poses = trajectory.poses
     key = keys.event_key
-    ridden = se2.compose(poses[key], event_offsets(keys, trajectory.bias))
-    arrival = np.vstack(
-        (se2.compose(poses[:-1], calibrated_steps(keys, trajectory.bias)), poses[-1:])
-    )
-    gap = np.vstack((poses[1:], poses[-1:])) - arrival
+    driven = se2.compose(poses[key], keys.offsets.calibrated(trajectory.bias))
+    arrival = se2.compose(poses[:-1], keys.steps.calibrated(trajectory.bias))
+    gap = np.vstack((poses[1:] - arrival, np.zeros(3)))
     gap[:, 2] = se2.wrap_angle(gap[:, 2])
-    ridden += keys.share[:, None] * gap[key]
-    ridden[:, 2] = se2.wrap_angle(ridden[:, 2])
-    return np.asarray(ridden)
-
-
-@kernel
-def _count_ups(length: FloatArray, turn: FloatArray, distance: float, angle: float) -> IntArray:
-    """The number of times, up to each event, that the accumulated driving or turning has reached
-    its threshold.
-    """
-    out = np.zeros(len(length), np.int64)
-    driven = turned = 0.0
-    count = 0
-    for row in range(1, len(length)):
-        driven += length[row]
-        turned += turn[row]
-        if driven >= distance or turned >= angle:
-            count += 1
-            driven = turned = 0.0
-        out[row] = count
-    return out
+    driven += keys.share[:, None] * gap[key]
+    driven[:, 2] = se2.wrap_angle(driven[:, 2])
+    return np.asarray(driven)
 
 
 @kernel

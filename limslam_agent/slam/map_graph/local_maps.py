@@ -38,37 +38,31 @@ class LocalMap:
         return -0.5 * self.cell * len(self.grid)
 
 
-def chunk_middles(keys: KeyPoses, config: LocalMapConfig, hop: float) -> IntArray:
+def chunk_middles(keys: KeyPoses, hop: float) -> IntArray:
     """Key poses (c,) in the middle of the chunks, ``hop`` m of driving apart."""
     travel = keys.key_travel
-    wanted = np.arange(config.half, max(travel[-1], config.half + 1e-9), hop)
+    half = keys.config.maps.half
+    wanted = np.arange(half, max(travel[-1], half + 1e-9), hop)
     return np.unique(np.minimum(np.searchsorted(travel, wanted), len(keys) - 1))
 
 
-def cut_chunks(
-    keys: KeyPoses,
-    trajectory: Trajectory,
-    config: LocalMapConfig,
-    middles: IntArray,
-    max_range: float,
-) -> list[LocalMap]:
+def cut_chunks(keys: KeyPoses, trajectory: Trajectory, middles: IntArray) -> list[LocalMap]:
     """Draw the chunks around the key poses ``middles`` (c,)."""
+    config = keys.config.maps
     points, origins = points_in_keys(keys, trajectory.bias)
     travel = keys.key_travel
+    point_key = keys.point_key
     begins = np.searchsorted(travel, travel[middles] - config.half)
     ends = np.searchsorted(travel, travel[middles] + config.half) + 1
-    spans = np.searchsorted(keys.point_key, np.column_stack((begins, ends)))
+    spans = np.searchsorted(point_key, np.column_stack((begins, ends)))
     maps = []
     for middle, (begin, end) in zip(middles, spans, strict=True):
-        relative = se2.between(
-            trajectory.poses[middle], trajectory.poses[keys.point_key[begin:end]]
-        )
-        places = to_world(relative, points[begin:end])
-        starts = to_world(relative, origins[begin:end])
-        grid = draw_grid(places, starts, max_range, config)
-        maps.append(
-            LocalMap(float(travel[middle]), thinned(places, config.cell), grid, config.cell)
-        )
+        own = slice(begin, end)
+        relative = se2.between(trajectory.poses[middle], trajectory.poses[point_key[own]])
+        places = to_world(relative, points[own])
+        grid = draw_grid(places, to_world(relative, origins[own]), keys.data.max_range, config)
+        points_of_map = thinned(places, config.cell)
+        maps.append(LocalMap(float(travel[middle]), points_of_map, grid, config.cell))
     return maps
 
 

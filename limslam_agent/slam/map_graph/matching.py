@@ -9,26 +9,29 @@ of many poses at once (Olson, "Real-time correlative scan matching", 2009).
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from limslam_agent.slam.map_graph.local_maps import Cells
+from limslam_agent.slam.map_graph.local_maps import HIT, Cells
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
+TURN_STEP = math.radians(3.0)
+"""Step of the turns of a match, rad."""
 _BLOCK = 4  # cells along each side of a block of poses
-_VOLUME_CELLS = 10
-_VOLUME_TURNS = 5
+# cells and turns around the best pose whose scores tell how well it is known
+_AROUND_CELLS = 10
+_AROUND_TURNS = 5
 _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and for turn
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
 # least standard deviations of a match, m and rad
-_FLOOR_POSITION = 0.06
-_FLOOR_TURN = math.radians(1.2)
+_FLOOR_STDS = 0.06, 0.06, math.radians(1.2)
 NO_MATCH = -math.inf
 LEAST_POINTS = 20
 """Fewer points are not matched, since they fit nearly anywhere. By ``_SHARPNESS``, a perfect fit of
@@ -39,14 +42,11 @@ _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
 _FALL = 2.0  # the loss of log-likelihood at two standard deviations
 _UNKNOWN_STD = 10.0  # m, of a match along a direction in which nothing speaks against any shift
 
-Sums = NDArray[np.int16]
 
-
-@dataclass(frozen=True, eq=False)
-class SearchGrid:
+class SearchGrid(NamedTuple):
     """A chunk's grid, prepared for searches."""
 
-    padded: Cells  # cells (n, n), padded on all sides by the size of the window
+    cells: Cells  # cells (n, n), padded on all sides by the size of the window
     # The largest cell (b, b, k, k) of a square of b cells, by the first cell of the square: its
     # rest and its quotient by b, along x and y each
     largest: Cells
@@ -54,16 +54,20 @@ class SearchGrid:
     cell: float  # side of a cell, m
     margin: int  # largest shift that can be searched, cells
 
+    def at(self, places: FloatArray) -> Cells:
+        """The cells (...) at places (..., 2), m. Nothing is known outside of the grid."""
+        indices = np.floor((places - self.low) / self.cell).astype(np.int64)
+        indices = np.clip(indices, 0, len(self.cells) - 1)
+        return self.cells[indices[..., 0], indices[..., 1]]
 
-@dataclass(frozen=True)
-class Window:
+
+class Window(NamedTuple):
     """The search window about a first guess: shifts up to ``shift`` (m) along x and y, turns up to
     ``turn`` (rad).
     """
 
     shift: float
     turn: float
-    turn_step: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,15 +82,14 @@ class Match:
     pose: FloatArray
 
 
-def search_grid(grid: Cells, cell: float, window: float) -> SearchGrid:
-    """Prepare the grid (n, n) of a chunk, with cells of ``cell`` m, for windows of up to ``window``
-    m.
+def search_grid(cells: Cells, cell: float, window: float) -> SearchGrid:
+    """Prepare the cells (n, n) of a chunk, with sides of ``cell`` m, for windows of up to
+    ``window`` m.
     """
-    margin = max(int(window / cell + 1e-6), _VOLUME_CELLS)
+    margin = max(int(window / cell + 1e-6), _AROUND_CELLS)
     # A point that lies further outside can be moved nearer, since it still meets only unknown
     # cells.
-    pad = 2 * margin + 1
-    padded = np.pad(grid, pad)
+    padded = np.pad(cells, 2 * margin + 1)
     return SearchGrid(padded, _largest(padded), -0.5 * cell * len(padded), cell, margin)
 
 
@@ -114,32 +117,17 @@ def match(
     margin = int(window.shift / grid.cell + 1e-6)
     if margin > grid.margin:
         raise ValueError(f"the grid is made for windows of {grid.margin} cells, not {margin}")
-    turns = int(window.turn / window.turn_step + 1e-6)
     if len(points) < LEAST_POINTS:
         return Match(NO_MATCH, guess)
-    score, turn, x, y = _best(
-        grid.padded,
-        grid.largest,
-        points,
-        guess,
-        grid.low,
-        grid.cell,
-        window.turn_step,
-        margin,
-        turns,
-        least,
-    )
+    turns = int(window.turn / TURN_STEP + 1e-6)
+    score, turn, x, y = _best(grid, points, guess, (margin, turns), least)
     if score <= least:
         return Match(NO_MATCH, guess)
-    return Match(score, guess + np.array([x * grid.cell, y * grid.cell, turn * window.turn_step]))
+    return Match(score, guess + np.array([x * grid.cell, y * grid.cell, turn * TURN_STEP]))
 
 
 def match_covariance(
-    grid: SearchGrid,
-    points: FloatArray,
-    pose: FloatArray,
-    turn_step: float,
-    backward: tuple[SearchGrid, FloatArray] | None = None,
+    grid: SearchGrid, points: FloatArray, pose: FloatArray, backward: tuple[SearchGrid, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (3,) and covariance (3, 3) of a match, from the scores of all poses around it.
 
@@ -148,31 +136,31 @@ def match_covariance(
     ``backward`` has the grid of the chunk of the points and the points of the chunk of the grid,
     which speak against poses as well.
     """
-    scores = _volume(
-        grid.padded, points, pose, grid.low, grid.cell, turn_step, _VOLUME_CELLS, _VOLUME_TURNS
-    )
+    scores = _scores_around(grid, points, pose)
     weight = np.exp((scores - scores.max()) * len(points) * _SHARPNESS)
     weight /= weight.sum()
-    turn, x, y = np.indices(scores.shape)
-    shifts = [
-        grid.cell * (x - _VOLUME_CELLS),
-        grid.cell * (y - _VOLUME_CELLS),
-        turn_step * (turn - _VOLUME_TURNS),
-    ]
-    offsets = np.stack(shifts, axis=-1).reshape(-1, 3)
+    middle = np.array([_AROUND_TURNS, _AROUND_CELLS, _AROUND_CELLS])
+    steps = np.moveaxis(np.indices(scores.shape), 0, -1) - middle
+    offsets = (steps * [TURN_STEP, grid.cell, grid.cell])[..., [1, 2, 0]].reshape(-1, 3)
     mean = weight.ravel() @ offsets
     apart = offsets - mean
-    floor = np.diag([_FLOOR_POSITION**2, _FLOOR_POSITION**2, _FLOOR_TURN**2])
     pose = pose + mean
-    covariance = (apart * weight.reshape(-1, 1)).T @ apart + floor
+    covariance = (apart * weight.reshape(-1, 1)).T @ apart + np.diag(np.square(_FLOOR_STDS))
     along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
-    lost = _lost(grid, points, pose, along)
-    if backward:
-        lost += _lost(
-            *backward, se2.inverse(pose), -se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
-        )
+    turned = se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
+    lost = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
     missing = _variance_along(_SHARPNESS * lost, grid.cell) - along @ covariance @ along
     return pose, covariance + max(missing, 0.0) * np.outer(along, along)
+
+
+def _scores_around(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> FloatArray:
+    """Scores (turns, cells along x, cells along y) of all poses around a pose."""
+    size = 2 * _AROUND_CELLS + 1
+    turns = range(-_AROUND_TURNS, _AROUND_TURNS + 1)
+    sums = np.zeros((len(turns), size, size), dtype=np.int16)
+    for turn, own in zip(turns, sums, strict=True):
+        _add_cells(grid, points, pose + np.array([0.0, 0.0, turn * TURN_STEP]), own)
+    return np.asarray(sums / (HIT * len(points)))
 
 
 def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatArray) -> FloatArray:
@@ -183,8 +171,11 @@ def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatAr
     nothing in a score. That says nothing about the distance along the corridor, so the points in
     unknown cells are left out here.
     """
-    sums, known = _profile(grid.padded, points, pose, along, grid.low, grid.cell, _FAR_CELLS)
-    return sums[_FAR_CELLS] / max(known[_FAR_CELLS], 1.0) * known - sums
+    shifts = grid.cell * np.arange(-_FAR_CELLS, _FAR_CELLS + 1)[:, None] * along[:2]
+    cells = grid.at(se2.transform_points(pose, points)[:, None] + shifts)
+    sums = cells.sum(axis=0) / HIT
+    known = np.count_nonzero(cells, axis=0)
+    return np.asarray(sums[_FAR_CELLS] / max(known[_FAR_CELLS], 1) * known - sums)
 
 
 def _variance_along(lost: FloatArray, cell: float) -> float:
@@ -196,31 +187,7 @@ def _variance_along(lost: FloatArray, cell: float) -> float:
 
 
 @kernel
-def _pixels(
-    points: FloatArray,
-    x: float,
-    y: float,
-    turn: float,
-    low: float,
-    cell: float,
-    edge: int,
-    size: int,
-    out: IntArray,
-) -> None:
-    """Cells (k, 2) of points at a pose, moved to at least ``edge`` cells from the border."""
-    cos = np.cos(turn)
-    sin = np.sin(turn)
-    for k in range(len(points)):
-        i = int(np.floor((cos * points[k, 0] - sin * points[k, 1] + x - low) / cell))
-        j = int(np.floor((sin * points[k, 0] + cos * points[k, 1] + y - low) / cell))
-        out[k, 0], out[k, 1] = (
-            min(max(i, edge), size - 1 - edge),
-            min(max(j, edge), size - 1 - edge),
-        )
-
-
-@kernel
-def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
+def _add_rows(sums: NDArray[np.int16], cells: Cells, row: int, column: int) -> None:
     """Add a patch of cells that begins at a given row and column to sums of the same shape."""
     for a in range(sums.shape[0]):
         line = cells[row + a, column : column + sums.shape[1]]
@@ -230,136 +197,77 @@ def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
 
 
 @kernel
-def _sums(
-    padded: Cells,
-    points: FloatArray,
-    x: float,
-    y: float,
-    turn: float,
-    low: float,
-    cell: float,
-    sums: Sums,
+def _find_cells(
+    grid: SearchGrid, points: FloatArray, pose: FloatArray, margin: int, out: IntArray
 ) -> None:
-    """Compute the sums of the cells at points at all shifts (2 m + 1, 2 m + 1) about a pose."""
-    cells = len(sums) // 2
-    size = len(padded)
-    pixels = np.empty((len(points), 2), np.int64)
-    _pixels(points, x, y, turn, low, cell, cells, size, pixels)
-    sums[:] = 0
+    """Cells (k, 2) of points at a pose, moved to at least ``margin`` cells from the border, and
+    then by ``-margin`` cells.
+    """
+    cos = np.cos(pose[2])
+    sin = np.sin(pose[2])
+    last = len(grid.cells) - 1 - 2 * margin
     for k in range(len(points)):
-        _add_rows(sums, padded, pixels[k, 0] - cells, pixels[k, 1] - cells)
+        x = cos * points[k, 0] - sin * points[k, 1] + pose[0] - grid.low
+        y = sin * points[k, 0] + cos * points[k, 1] + pose[1] - grid.low
+        out[k, 0] = min(max(int(np.floor(x / grid.cell)) - margin, 0), last)
+        out[k, 1] = min(max(int(np.floor(y / grid.cell)) - margin, 0), last)
+
+
+@kernel
+def _add_cells(
+    grid: SearchGrid, points: FloatArray, pose: FloatArray, sums: NDArray[np.int16]
+) -> None:
+    """Add the cells at points at a pose to sums (2 m + 1, 2 m + 1), for all shifts by up to m
+    cells.
+    """
+    cells = np.empty((len(points), 2), np.int64)
+    _find_cells(grid, points, pose, len(sums) // 2, cells)
+    for i, j in cells:
+        _add_rows(sums, grid.cells, i, j)
 
 
 @kernel
 def _best(
-    padded: Cells,
-    largest: Cells,
+    grid: SearchGrid,
     points: FloatArray,
     guess: FloatArray,
-    low: float,
-    cell: float,
-    turn_step: float,
-    margin: int,
-    turns: int,
+    steps: tuple[int, int],
     least: float,
 ) -> tuple[float, int, int, int]:
-    """Score, turn in steps and shifts in cells of the best pose of a window; ``least`` if no score
-    is above it.
+    """Score, turn in steps and shifts in cells of the best pose of a window of so many cells and
+    turns to each side; ``least`` if no score is above it.
     """
+    margin, turns = steps
     best = least
     best_turn = 0
     best_x = 0
     best_y = 0
     by_shift = _PRIOR / (margin * margin + 1.0)
     by_turn = _PRIOR / (turns * turns + 1.0)
-    block = len(largest)
-    count = (2 * margin + block) // block
+    whole = 5.0 * len(points)
+    count = (2 * margin + _BLOCK) // _BLOCK
     bounds = np.empty((count, count), np.int16)
-    pixels = np.empty((len(points), 2), np.int64)
+    cells = np.empty((len(points), 2), np.int64)
+    pose = guess.copy()
     for turn in range(-turns, turns + 1):
-        _pixels(
-            points,
-            guess[0],
-            guess[1],
-            guess[2] + turn * turn_step,
-            low,
-            cell,
-            margin,
-            len(padded),
-            pixels,
-        )
-        pixels -= margin
+        pose[2] = guess[2] + turn * TURN_STEP
+        _find_cells(grid, points, pose, margin, cells)
         bounds[:] = 0
-        for i, j in pixels:
-            _add_rows(bounds, largest[i % block, j % block], i // block, j // block)
+        for i, j in cells:
+            _add_rows(bounds, grid.largest[i % _BLOCK, j % _BLOCK], i // _BLOCK, j // _BLOCK)
         for a, b in np.ndindex(count, count):
-            if bounds[a, b] / (5.0 * len(points)) - by_turn * turn * turn <= best:
+            if bounds[a, b] / whole - by_turn * turn * turn <= best:
                 continue
-            for x in range(block * a, min(block * (a + 1), 2 * margin + 1)):
-                for y in range(block * b, min(block * (b + 1), 2 * margin + 1)):
+            for x in range(_BLOCK * a, min(_BLOCK * (a + 1), 2 * margin + 1)):
+                for y in range(_BLOCK * b, min(_BLOCK * (b + 1), 2 * margin + 1)):
                     total = 0
-                    for i, j in pixels:
-                        total += padded[i + x, j + y]
-                    penalty = (
-                        by_shift * ((x - margin) ** 2 + (y - margin) ** 2) + by_turn * turn * turn
-                    )
-                    score = total / (5.0 * len(points)) - penalty
+                    for i, j in cells:
+                        total += grid.cells[i + x, j + y]
+                    off = (x - margin) ** 2 + (y - margin) ** 2
+                    score = total / whole - by_shift * off - by_turn * turn * turn
                     if score > best:
                         best = score
                         best_turn = turn
                         best_x = x - margin
                         best_y = y - margin
     return best, best_turn, best_x, best_y
-
-
-@kernel
-def _volume(
-    padded: Cells,
-    points: FloatArray,
-    pose: FloatArray,
-    low: float,
-    cell: float,
-    turn_step: float,
-    cells: int,
-    turns: int,
-) -> FloatArray:
-    """Scores (2 turns + 1, 2 cells + 1, 2 cells + 1) of all poses in a window around a given
-    pose.
-    """
-    scores = np.empty((2 * turns + 1, 2 * cells + 1, 2 * cells + 1))
-    sums = np.empty((2 * cells + 1, 2 * cells + 1), np.int16)
-    for t in range(2 * turns + 1):
-        _sums(padded, points, pose[0], pose[1], pose[2] + (t - turns) * turn_step, low, cell, sums)
-        scores[t] = sums / (5.0 * len(points))
-    return scores
-
-
-@kernel
-def _profile(
-    padded: Cells,
-    points: FloatArray,
-    pose: FloatArray,
-    direction: FloatArray,
-    low: float,
-    cell: float,
-    cells: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Sums of the cells at points that are moved along a direction, as shares of hits, and numbers
-    of known cells.
-
-    Both have the shape (2 cells + 1,), from the shift by ``-cells`` cells on.
-    """
-    sums = np.zeros(2 * cells + 1)
-    known = np.zeros(2 * cells + 1)
-    pixels = np.empty((len(points), 2), np.int64)
-    size = padded.shape[0]
-    for t in range(2 * cells + 1):
-        shift = cell * (t - cells)
-        x = pose[0] + shift * direction[0]
-        y = pose[1] + shift * direction[1]
-        _pixels(points, x, y, pose[2], low, cell, 0, size, pixels)
-        for k in range(len(points)):
-            value = padded[pixels[k, 0], pixels[k, 1]]
-            sums[t] += value / 5.0
-            known[t] += 1.0 if value else 0.0
-    return sums, known

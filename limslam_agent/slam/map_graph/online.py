@@ -21,7 +21,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     KEY_DISTANCE,
     KEY_TURN,
     LogData,
-    calibrated_motion,
+    calibrated,
     motion_variances,
 )
 from limslam_agent.slam.map_graph.local_maps import cut_chunks
@@ -35,9 +35,9 @@ from limslam_agent.slam.map_graph.window import (
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
 
-_WINDOW = 15.0
-"""Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a
-chunk over 7 m.
+_WINDOW = 6
+"""Distance driven that is smoothed, in hops between chunks: 15 m, since the walls of the local
+smoothing reach over 10 m, and a chunk over 7 m.
 """
 
 _REVISED = 2
@@ -150,7 +150,7 @@ class OnlineGraph:
         turned = self._recent.turned
         recent.append(time, odometry, ranges, hit, break_stds)
         self.job_ms = 0.0
-        motion = calibrated_motion(recent.last_motion, self._anchor.errors)
+        motion = calibrated(recent.last_motion[None], self._anchor.errors)[0]
         self._ridden = compose(self._ridden, motion)
         if break_stds is None:
             moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
@@ -207,7 +207,7 @@ class OnlineGraph:
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
             recent.forget_before(
-                min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0])
+                min(recent.at(recent.travel - (_WINDOW - 1) * maps.hop), self._middles[0])
             )
 
     def _begin_anew(self) -> None:
@@ -279,9 +279,7 @@ class OnlineGraph:
         recent = self._recent
         config = self._config
         event = recent.first + int(frame.keys.first_event[key])
-        (chunk,) = cut_chunks(
-            frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range
-        )
+        (chunk,) = cut_chunks(frame.keys, frame.trajectory, np.array([key]))
         chunk = replace(chunk, travel=recent.travel_at(event))
         pose = frame.trajectory.poses[key]
         before = np.array(self._middles) - recent.first
@@ -298,7 +296,7 @@ class OnlineGraph:
             self._first_covariance = moved_covariance(
                 self._start, np.zeros((3, 3)), motions[-1], own
             )
-            self.places = ChunkGraph(chunk, compose(self._start, motions[-1]))
+            self.places = ChunkGraph(chunk, compose(self._start, motions[-1]), config.maps)
             self._middles = []
         else:
             self.places.add(chunk, motions, own)

@@ -4,12 +4,11 @@ Neighbours are searched in a grid of cells. The points of a cell are sorted by t
 so that the points of one section of driving are found without reading the points of other visits.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.slam.map_graph.key_poses import (
-    ANOTHER_VISIT,
     KeyPoses,
     Trajectory,
     points_in_keys,
@@ -46,8 +45,7 @@ MIN_COSINE = 0.85
 _MAX_OFFSET = 0.7
 
 
-@dataclass(frozen=True, eq=False)
-class PointCloud:
+class PointCloud(NamedTuple):
     """The points of a trajectory in the world: p points in the order of driving."""
 
     # key, travel: key pose (p,) and distance driven (p,), m, of each point
@@ -58,14 +56,16 @@ class PointCloud:
     good: BoolArray  # whether each normal (p,) is reliable
 
 
-def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> PointCloud:
+def point_cloud(keys: KeyPoses, trajectory: Trajectory) -> PointCloud:
     """Transform all points into the world frame and compute their normals."""
     in_key, origin_in_key = points_in_keys(keys, trajectory.bias)
-    pose = trajectory.poses[keys.point_key]
+    key = keys.point_key
+    travel = keys.travel[keys.point_event]
+    pose = trajectory.poses[key]
     places = to_world(pose, in_key)
     origins = to_world(pose, origin_in_key)
-    normals, good = find_normals(places, origins, keys.point_travel, range_std)
-    return PointCloud(keys.point_key, keys.point_travel, places, normals, good)
+    normals, good = find_normals(places, origins, travel, keys.data.range_std)
+    return PointCloud(key, travel, places, normals, good)
 
 
 def find_normals(
@@ -77,10 +77,16 @@ def find_normals(
     Neighbours belong to the same section of driving: the distance between two points includes the
     distance driven between them. Normals point towards the beams' origins.
     """
-    index = _index(places, travel, _NORMAL_RADIUS)
-    thickness = _MAX_THICKNESS**2 + range_std**2
-    limits = np.array([_MIN_NEIGHBOURS, _MIN_SPREAD**2, thickness, _MAX_RATIO, _MIN_INCIDENCE])
-    return _normals(places, origins, travel, *index, _NORMAL_RADIUS, _NORMAL_TRAVEL, limits)
+    limits = np.array(
+        [
+            _MIN_NEIGHBOURS,
+            _MIN_SPREAD**2,
+            _MAX_THICKNESS**2 + range_std**2,
+            _MAX_RATIO,
+            _MIN_INCIDENCE,
+        ]
+    )
+    return _normals(_index(places, travel, _NORMAL_RADIUS), origins, _NORMAL_TRAVEL, limits)
 
 
 def links_along(cloud: PointCloud) -> IntArray:
@@ -90,9 +96,9 @@ def links_along(cloud: PointCloud) -> IntArray:
     return _links(cloud, _RADIUS, _BANDS, _MAX_OFFSET * _RADIUS)
 
 
-def links_across(cloud: PointCloud, radius: float) -> IntArray:
-    """Links (l, 2) to the nearest point of another visit."""
-    return _links(cloud, radius, (ANOTHER_VISIT, np.inf), radius)
+def links_across(cloud: PointCloud, radius: float, another_visit: float) -> IntArray:
+    """Links (l, 2) to the nearest point of another visit, after so much driving, m."""
+    return _links(cloud, radius, (another_visit, np.inf), radius)
 
 
 def _links(
@@ -101,85 +107,74 @@ def _links(
     """Links (l, 2) to the nearest point within a radius, m, and ``most_off`` m of its line, in each
     band of driving.
     """
-    limits = np.array([radius, MIN_COSINE, most_off])
     index = _index(cloud.places, cloud.travel, radius)
-    return _nearest(
-        cloud.places,
-        cloud.normals,
-        cloud.good,
-        cloud.travel,
-        cloud.key,
-        *index,
-        np.array(borders),
-        limits,
-    )
+    limits = np.array([MIN_COSINE, most_off])
+    return _nearest(index, cloud, np.array(borders), limits)
 
 
-def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArray, IntArray, float]:
-    """Cells (p,) in ascending order, their points (p,) in the order of driving, and the side of a
-    cell, m.
-    """
+class _Index(NamedTuple):
+    """Points in a grid of cells."""
+
+    places: FloatArray  # (p, 2), m
+    travel: FloatArray  # distance driven (p,), m
+    cells: IntArray  # cells (p,) in ascending order
+    order: IntArray  # points (p,) of these cells, in the order of driving
+    side: float  # of a cell, within which neighbours lie, m
+
+
+def _index(places: FloatArray, travel: FloatArray, side: float) -> _Index:
     cells = np.floor(places / side).astype(np.int64)
     number = cells[:, 0] * _ROW + cells[:, 1]
     order = np.lexsort((travel, number))
-    return number[order], order, side
+    return _Index(places, travel, number[order], order, side)
 
 
 @kernel
-def _span(
-    cells: IntArray, order: IntArray, travel: FloatArray, cell: int, low: float, high: float
-) -> tuple[int, int]:
-    """First and last (excluded) index in ``order`` of a cell's points that were seen between two
-    distances driven.
+def _around(index: _Index, point: int, reach: float, out: IntArray) -> int:
+    """Set the first numbers to the points in the cells around a point, up to a distance driven from
+    it, and return their number.
     """
-    begin = int(np.searchsorted(cells, cell))
-    end = int(np.searchsorted(cells, cell + 1))
-    while begin < end and travel[order[begin]] < low:
-        begin += 1
-    stop = begin
-    while stop < end and travel[order[stop]] <= high:
-        stop += 1
-    return begin, stop
+    count = 0
+    column = int(np.floor(index.places[point, 0] / index.side))
+    row = int(np.floor(index.places[point, 1] / index.side))
+    middle = index.travel[point]
+    for a in range(column - 1, column + 2):
+        for b in range(row - 1, row + 2):
+            begin = np.searchsorted(index.cells, a * _ROW + b)
+            end = np.searchsorted(index.cells, a * _ROW + b + 1)
+            for other in index.order[begin:end]:
+                if index.travel[other] > middle + reach:
+                    break
+                if index.travel[other] >= middle - reach:
+                    out[count] = other
+                    count += 1
+    return count
 
 
 @kernel
 def _normals(
-    places: FloatArray,
-    origins: FloatArray,
-    travel: FloatArray,
-    cells: IntArray,
-    order: IntArray,
-    side: float,
-    radius: float,
-    reach: float,
-    limits: FloatArray,
+    index: _Index, origins: FloatArray, reach: float, limits: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    count = len(places)
+    count = len(index.places)
     normals = np.zeros((count, 2))
     good = np.zeros(count, np.bool_)
-    per_metre = (radius / reach) ** 2
+    near = np.empty(count, np.int64)
+    per_metre = (index.side / reach) ** 2
     for i in range(count):
-        x = places[i, 0]
-        y = places[i, 1]
-        s = travel[i]
-        column = int(np.floor(x / side))
-        row = int(np.floor(y / side))
+        x = index.places[i, 0]
+        y = index.places[i, 1]
         n = sx = sy = sxx = syy = sxy = 0.0
-        for a in range(column - 1, column + 2):
-            for b in range(row - 1, row + 2):
-                begin, end = _span(cells, order, travel, a * (1 << 24) + b, s - reach, s + reach)
-                for place in range(begin, end):
-                    j = order[place]
-                    dx = places[j, 0] - x
-                    dy = places[j, 1] - y
-                    ds = travel[j] - s
-                    if dx * dx + dy * dy + per_metre * ds * ds <= radius * radius:
-                        n += 1.0
-                        sx = sx + dx
-                        sy = sy + dy
-                        sxx = sxx + dx * dx
-                        syy = syy + dy * dy
-                        sxy = sxy + dx * dy
+        for j in near[: _around(index, i, reach, near)]:
+            dx = index.places[j, 0] - x
+            dy = index.places[j, 1] - y
+            ds = index.travel[j] - index.travel[i]
+            if dx * dx + dy * dy + per_metre * ds * ds <= index.side**2:
+                n += 1.0
+                sx = sx + dx
+                sy = sy + dy
+                sxx = sxx + dx * dx
+                syy = syy + dy * dy
+                sxy = sxy + dx * dy
         sx = sx / n
         sy = sy / n
         sxx = sxx / n - sx * sx
@@ -219,55 +214,36 @@ def _band(gap: float, borders: FloatArray) -> int:
 
 
 @kernel
-def _nearest(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    travel: FloatArray,
-    key: IntArray,
-    cells: IntArray,
-    order: IntArray,
-    side: float,
-    borders: FloatArray,
-    limits: FloatArray,
-) -> IntArray:
+def _nearest(index: _Index, cloud: PointCloud, borders: FloatArray, limits: FloatArray) -> IntArray:
     bands = len(borders) - 1
-    radius = limits[0]
     reach = borders[bands]
-    per_metre = (radius / reach) ** 2
-    links = np.empty((len(places) * bands, 2), np.int64)
+    per_metre = (index.side / reach) ** 2
+    links = np.empty((len(cloud.places) * bands, 2), np.int64)
     count = 0
+    near = np.empty(len(cloud.places), np.int64)
     best = np.empty(bands, np.int64)
     nearest = np.empty(bands)
-    for i in np.nonzero(good)[0]:
-        x = places[i, 0]
-        y = places[i, 1]
-        s = travel[i]
+    for i in range(len(cloud.places)):
+        if not cloud.good[i]:
+            continue
         best[:] = -1
-        nearest[:] = radius * radius
-        column = int(np.floor(x / side))
-        row = int(np.floor(y / side))
-        for a in range(column - 1, column + 2):
-            for b in range(row - 1, row + 2):
-                begin, end = _span(cells, order, travel, a * (1 << 24) + b, s - reach, s + reach)
-                for place in range(begin, end):
-                    j = order[place]
-                    gap = abs(travel[j] - s)
-                    if not good[j] or gap < borders[0] or key[j] == key[i]:
-                        continue
-                    dx = x - places[j, 0]
-                    dy = y - places[j, 1]
-                    square = dx * dx + dy * dy + per_metre * gap * gap
-                    band = _band(gap, borders)
-                    if square >= nearest[band]:
-                        continue
-                    cosine = normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1]
-                    if (
-                        cosine > limits[1]
-                        and abs(dx * normals[j, 0] + dy * normals[j, 1]) < limits[2]
-                    ):
-                        best[band] = j
-                        nearest[band] = square
+        nearest[:] = index.side**2
+        for j in near[: _around(index, i, reach, near)]:
+            gap = abs(cloud.travel[j] - cloud.travel[i])
+            if not cloud.good[j] or gap < borders[0] or cloud.key[j] == cloud.key[i]:
+                continue
+            dx = cloud.places[i, 0] - cloud.places[j, 0]
+            dy = cloud.places[i, 1] - cloud.places[j, 1]
+            square = dx * dx + dy * dy + per_metre * gap * gap
+            band = _band(gap, borders)
+            if square >= nearest[band]:
+                continue
+            nx = cloud.normals[j, 0]
+            ny = cloud.normals[j, 1]
+            cosine = cloud.normals[i, 0] * nx + cloud.normals[i, 1] * ny
+            if cosine > limits[0] and abs(dx * nx + dy * ny) < limits[1]:
+                best[band] = j
+                nearest[band] = square
         for band in range(bands):
             if best[band] >= 0:
                 links[count, 0] = i

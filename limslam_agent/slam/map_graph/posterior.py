@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations
 from limslam_agent.slam.graph.graph import Graph
 from limslam_agent.slam.map_graph.factors import odometry
@@ -25,13 +24,7 @@ _MOST = 60
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
-def position_covariance(
-    keys: KeyPoses,
-    trajectory: Trajectory,
-    relations: Relations,
-    config: GraphConfig,
-    range_std: float,
-) -> FloatArray:
+def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relations) -> FloatArray:
     """The joint covariance (2 k, 2 k) of positions along a path after rigid alignment, m^2.
 
     Parameters
@@ -40,16 +33,14 @@ def position_covariance(
         The key poses, and the smoothed path.
     relations
         The loops between key poses.
-    range_std
-        Specified standard deviation of a range, m.
     """
     if len(keys) < 2:
         return np.zeros((2, 2))
-    graph = bundle_graph(keys, trajectory, relations, config, range_std)
+    graph = bundle_graph(keys, trajectory, relations)
     for _ in range(_ITERATIONS):
         ratios = odometry_ratios(keys, trajectory, graph)
         keys = replace(keys, step_variances=keys.step_variances * ratios)
-        graph = bundle_graph(keys, trajectory, relations, config, range_std)
+        graph = bundle_graph(keys, trajectory, relations)
     numbers = np.unique(np.searchsorted(keys.key_driven, _evenly(keys.key_driven[-1])))
     columns = graph.nodes.columns("poses")[numbers, :2].ravel()
     rows = np.zeros((graph.nodes.size, len(columns)))

@@ -20,12 +20,22 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.map_graph.chunk_graph import SCORES, TURN_STEP
-from limslam_agent.slam.map_graph.key_poses import STANDING, LogData, integrate
-from limslam_agent.slam.map_graph.local_views import AFTER, BEFORE, LocalViews, moves_of
-from limslam_agent.slam.map_graph.matching import NO_MATCH, Window
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_agent.slam.map_graph.chunk_graph import SCORES
+from limslam_agent.slam.map_graph.key_poses import STANDING, LogData, integrate, to_world
+from limslam_agent.slam.map_graph.local_maps import draw_grid, thinned
+from limslam_agent.slam.map_graph.matching import (
+    LEAST_POINTS,
+    NO_MATCH,
+    SearchGrid,
+    Window,
+    match,
+    search_grid,
+)
+from limslam_env.geometry import FloatArray, IntArray, se2
 
+# m of driving that are compared: those before an event with those after it
+_BEFORE = 3.5
+_AFTER = 2.0
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 LEAST_LENGTH = 0.15
@@ -33,7 +43,7 @@ LEAST_LENGTH = 0.15
 sign.
 """
 _BEYOND = 1.0  # m of driving after a short stretch that are compared with it
-_WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
+_WINDOW = Window(0.4, math.radians(9.0))
 # A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this
 # for each metre, since in a corridor both directions fit.
 _LEAD = 0.12
@@ -47,9 +57,9 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     beams reach less far than what is compared, or one in which nearly no stretch contradicts that
     it was driven ahead.
     """
-    if data.max_range < AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
+    if data.max_range < _AFTER or -data.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
-    views = LocalViews(data, config, _WINDOW)
+    views = _LocalViews(data, config)
     stretches = _stretches(data, views.driven)
     judged = [_judged(views, *each) for each in stretches.tolist()]
     if sum(_is_proof(each, config) for each in judged) < config.reversing.fewest:
@@ -64,8 +74,8 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
         _turn_round(views, *stretches[best])
         # The stretches whose comparison uses this stretch are judged again.
         near = (
-            (begins <= ends[best] + BEFORE + AFTER)
-            & (ends >= begins[best] - BEFORE - AFTER)
+            (begins <= ends[best] + _BEFORE + _AFTER)
+            & (ends >= begins[best] - _BEFORE - _AFTER)
             & ~turned
         )
         leads[near] = [_judged(views, *each)[0] for each in stretches[near].tolist()]
@@ -83,19 +93,79 @@ def driven_backwards(
     Those are judged, in their order, after which enough has been seen only since the event
     ``since``.
     """
-    if data.max_range < AFTER:
+    if data.max_range < _AFTER:
         return
-    views = LocalViews(data, config, _WINDOW)
+    views = _LocalViews(data, config)
     travel = views.travel
     for begin, end in _stretches(data, views.driven).tolist():
-        if travel[since] < travel[end] + AFTER <= travel[-1]:
+        if travel[since] < travel[end] + _AFTER <= travel[-1]:
             judged = _judged(views, begin, end)
             if judged[0] > 0.0:
                 _turn_round(views, begin, end)
                 yield begin, end, _is_proof(judged, config)
 
 
-def _turn_round(views: LocalViews, begin: int, end: int) -> None:
+class _LocalViews:
+    """What was seen along a log, whose metres are matched in a window.
+
+    Attributes
+    ----------
+    moves
+        Motions (n - 1, 3) from event to event. They may be changed.
+    driven
+        Length (n,) of the path up to each event, m.
+    travel
+        The same, with ``APART`` for each break of odometry.
+    """
+
+    def __init__(self, data: LogData, config: GraphConfig) -> None:
+        self._data = data
+        self._maps = config.maps
+        self.moves = data.moves.copy()
+        lengths = np.hypot(self.moves[:, 0], self.moves[:, 1])
+        self.driven = np.append(0.0, np.cumsum(lengths))
+        self.travel = np.append(0.0, np.cumsum(lengths + data.apart[1:]))
+
+    def known(self, event: int) -> SearchGrid | None:
+        """What was seen in the last metres before an event, in the frame of its pose. None if that
+        is too little.
+        """
+        first = int(np.searchsorted(self.travel, self.travel[event] - _BEFORE))
+        poses = integrate(np.zeros(3), self.moves[first:event])
+        places, origins = self._seen(np.arange(first, event + 1), se2.between(poses[-1], poses))
+        if len(places) < LEAST_POINTS:
+            return None
+        grid = draw_grid(places, origins, self._data.max_range, self._maps)
+        return search_grid(grid, self._maps.cell, _WINDOW.shift)
+
+    def next_moves(self, event: int, most: float = _AFTER) -> FloatArray:
+        """A copy of the motions (k, 3) of the first metres after an event, of at most ``most``
+        m.
+        """
+        end = np.searchsorted(self.travel, self.travel[event] + min(_AFTER, most), side="right")
+        return self.moves[event : end - 1].copy()
+
+    def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> tuple[float, float]:
+        """How well that fits which was seen from an event on, along motions (k, 3).
+
+        The score of the best match, and the share of the points that it places where only free
+        space was seen before.
+        """
+        events = np.arange(event, event + len(moves) + 1)
+        places, _ = self._seen(events, integrate(np.zeros(3), moves))
+        points = thinned(places, self._maps.cell)
+        found = match(known, points, np.zeros(3), _WINDOW, NO_MATCH)
+        cells = known.at(se2.transform_points(found.pose, points))
+        return found.score, float(np.mean(cells < 0)) if len(cells) else 0.0
+
+    def _seen(self, events: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Points and origins of their beams, (p, 2) each, at events (k,) with poses (k, 3)."""
+        row, beam = np.nonzero(self._data.hit[events])
+        places = to_world(poses[row], self._data.points[events[row], beam])
+        return places, to_world(poses[row], self._data.origins[beam])
+
+
+def _turn_round(views: _LocalViews, begin: int, end: int) -> None:
     views.moves[begin:end, :2] *= -1.0
 
 
@@ -108,7 +178,7 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     """Distance that is driven backwards in the second log and not in the first one, m, and the
     number of stretches.
     """
-    before, after = (moves_of(each)[:, 0] for each in (data, directed))
+    before, after = (each.moves[:, 0] for each in (data, directed))
     moved = np.abs(before) > STANDING
     before = before[moved]
     after = after[moved]
@@ -117,7 +187,7 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     return float(before[backwards].sum()), int(begins.sum())
 
 
-def _judged(views: LocalViews, begin: int, end: int) -> tuple[float, float]:
+def _judged(views: _LocalViews, begin: int, end: int) -> tuple[float, float]:
     """By how much a stretch fits better than is needed if it was driven backwards.
 
     Also the share of its points that would lie in free space if it was driven ahead.

@@ -7,11 +7,12 @@ the log moves all later poses. The bundle adds its steps to the poses, since the
 given initial poses that are accurate enough.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
+from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.slam.graph.factors import Relations, geman_mcclure, prior, relation
 from limslam_agent.slam.graph.graph import Graph, Nodes
 from limslam_agent.slam.map_graph.factors import loop_kernel, odometry, point_link, point_on_wall
@@ -36,49 +37,35 @@ _LAST_RADIUS = 0.2
 _FIRST_WINDOW = 4.0  # m, in which walls are found in the first iteration with walls
 
 
-def smooth_locally(
-    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
-) -> Trajectory:
+def smooth_locally(keys: KeyPoses, trajectory: Trajectory) -> Trajectory:
     """Smooth along the way, first with links alone, then with walls in windows that grow.
 
     Without walls, the headings drift. With walls from the start, the estimated bias of odometry is
     wrong. Tolerances shrink in both parts.
     """
-    counts = config.smoothing
-    walls = config.lines
+    counts = keys.config.smoothing
+    walls = keys.config.lines
     for number in range(counts.link_iterations):
         widening = max(1.0, 2.0 * 0.7**number)
-        trajectory = _chained(
-            trajectory,
-            _graph(keys, trajectory, config, range_std, link_factor=widening),
-        )
+        trajectory = _chained(trajectory, _graph(keys, trajectory, link_factor=widening))
     last = max(1, counts.line_iterations - 3)
     for number in range(counts.line_iterations):
         progress = min(1.0, number / last)
         window = _FIRST_WINDOW + (walls.window - _FIRST_WINDOW) * progress
         widening = 1.8 - 0.8 * progress
-        near = replace(
-            config, lines=replace(walls, window=window, tolerance=widening * walls.tolerance)
-        )
-        graph = _graph(keys, trajectory, near, range_std, wall_factor=widening)
+        near = replace(walls, window=window, tolerance=widening * walls.tolerance)
+        graph = _graph(keys, trajectory, walls=near, wall_factor=widening)
         trajectory = _chained(trajectory, graph)
     return trajectory
 
 
-def bundle(
-    keys: KeyPoses,
-    trajectory: Trajectory,
-    relations: Relations,
-    config: GraphConfig,
-    range_std: float,
-) -> Trajectory:
+def bundle(keys: KeyPoses, trajectory: Trajectory, relations: Relations) -> Trajectory:
     """Solve for all key poses with walls, loops, and links between visits, which are nearer at each
     iteration.
     """
     for number in range(_BUNDLE_ITERATIONS):
         radius = _RADIUS * (_LAST_RADIUS / _RADIUS) ** (number / (_BUNDLE_ITERATIONS - 1))
-        graph = bundle_graph(keys, trajectory, relations, config, range_std, radius, _INFLATION)
-        by_poses, by_bias = _step(graph)
+        by_poses, by_bias = _step(bundle_graph(keys, trajectory, relations, radius, _INFLATION))
         poses = trajectory.poses + by_poses
         poses[:, 2] = se2.wrap_angle(poses[:, 2])
         trajectory = Trajectory(poses, trajectory.bias + by_bias)
@@ -89,8 +76,6 @@ def bundle_graph(
     keys: KeyPoses,
     trajectory: Trajectory,
     relations: Relations,
-    config: GraphConfig,
-    range_std: float,
     radius: float = _LAST_RADIUS,
     link_factor: float = 1.0,
 ) -> Graph:
@@ -99,23 +84,14 @@ def bundle_graph(
     Without ``link_factor``, the stated errors of 23 made-up logs were right on average (NEES / 2 of
     0.95).
     """
-    return _graph(
-        keys,
-        trajectory,
-        config,
-        range_std,
-        relations,
-        link_factor=link_factor,
-        wall_factor=1.0,
-        radius=radius,
-    )
+    graph = _graph(keys, trajectory, link_factor, keys.config.lines, radius=radius)
+    graph.add_robust(relation(trajectory.poses, *relations), loop_kernel())
+    return graph
 
 
-def cautious_graph(
-    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
-) -> Graph:
+def cautious_graph(keys: KeyPoses, trajectory: Trajectory) -> Graph:
     """The graph by which a locally smoothed trajectory is known: odometry and links along it."""
-    return _graph(keys, trajectory, config, range_std, link_factor=_INFLATION)
+    return _graph(keys, trajectory, link_factor=_INFLATION)
 
 
 def motion_covariances(graph: Graph, poses: FloatArray, numbers: IntArray) -> FloatArray:
@@ -129,40 +105,37 @@ def motion_covariances(graph: Graph, poses: FloatArray, numbers: IntArray) -> Fl
 def _graph(
     keys: KeyPoses,
     trajectory: Trajectory,
-    config: GraphConfig,
-    range_std: float,
-    relations: Relations | None = None,
-    *,
     link_factor: float = 1.0,
-    wall_factor: float = 0.0,
+    walls: WallLineConfig | None = None,
+    wall_factor: float = 1.0,
     radius: float = 0.0,
 ) -> Graph:
-    """The graph of odometry, links along the way, and walls, links between visits and loops if
-    asked.
+    """The graph of odometry, links along the way, and walls and links between visits if asked.
 
     The factors are those of the standard deviations of points about links and walls. ``radius`` is
     that of links between visits, m.
     """
-    cloud = point_cloud(keys, trajectory, range_std)
+    config = keys.config
     poses = trajectory.poses
-    walls = find_lines(cloud, config.lines) if wall_factor else None
-    count = len(walls.angles) if walls else 0
+    cloud = point_cloud(keys, trajectory)
+    lines = find_lines(cloud, walls) if walls else None
+    count = len(lines.angles) if lines else 0
     graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2)))
     graph.add(odometry(keys, trajectory))
     known = np.diag(np.array(config.motion.stds) ** -2.0)
     graph.add(prior("errors", trajectory.bias[None], known))
-    link_std, wall_std = (float(np.hypot(each, range_std)) for each in (_LINK_STD, _WALL_STD))
+    std = link_factor * math.hypot(_LINK_STD, keys.data.range_std)
     robust = geman_mcclure(_LINK_KERNEL)
-    graph.add_robust(point_link(poses, cloud, links_along(cloud), link_factor * link_std), robust)
+    graph.add_robust(point_link(poses, cloud, links_along(cloud), std), robust)
     if radius:
-        std = max(1.0, radius / _LAST_RADIUS) * link_factor * link_std
-        graph.add_robust(point_link(poses, cloud, links_across(cloud, radius), std), robust)
-    if walls:
-        on_walls = point_on_wall(poses, cloud, walls, wall_factor * wall_std)
+        links = links_across(cloud, radius, config.maps.another_visit)
+        widening = max(1.0, radius / _LAST_RADIUS)
+        graph.add_robust(point_link(poses, cloud, links, widening * std), robust)
+    if lines:
+        wall_std = wall_factor * math.hypot(_WALL_STD, keys.data.range_std)
+        on_walls = point_on_wall(poses, cloud, lines, wall_std)
         graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))
         graph.add(prior("walls", np.zeros((count, 2)), _WALL_PRIOR * np.eye(2)))
-    if relations:
-        graph.add_robust(relation(poses, *relations), loop_kernel())
     return graph
 
 

@@ -74,7 +74,7 @@ class GraphResult:
     @property
     def relations(self) -> Relations:
         """The loops that are part of the result, as relations between key poses."""
-        return _between_keys([loop for loop in self.loops if loop.reason == KEPT], self.chunk_keys)
+        return _between_keys(self.loops, self.chunk_keys)
 
 
 Report = Callable[[str], None]
@@ -106,17 +106,15 @@ def rounds(
         Called at the start of each stage.
     """
     report("local smoothing")
-    data, keys, local, known = _synchronised(data, config)
-    problem = LogProblem(keys, local, data, config)
+    keys, local, known = _synchronised(data, config)
     trajectory = local
-    has_loops = (
-        len(keys.point_key) > 0 and len(chunk_middles(keys, config.maps, config.maps.hop)) > 1
-    )
+    has_points = len(keys.point_event) > 0
+    has_loops = has_points and len(chunk_middles(keys, config.maps.hop)) > 1
     while True:
         if has_loops:
-            found = smooth_with_loops(problem, trajectory, report)
+            found = smooth_with_loops(keys, local, trajectory, report)
         else:
-            kind = "local" if len(keys.point_key) else "odometry"
+            kind = "local" if has_points else "odometry"
             none = np.zeros(1, dtype=np.int64)
             found = GraphResult(kind, keys, local, local.bias, [], none)
         trajectory = found.trajectory
@@ -126,9 +124,7 @@ def rounds(
             return
 
 
-def _synchronised(
-    data: LogData, config: GraphConfig
-) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:
+def _synchronised(data: LogData, config: GraphConfig) -> tuple[KeyPoses, Trajectory, FloatArray]:
     """The log with its odometry at the times of the ranges, its local trajectory, and what was
     corrected (5,).
 
@@ -140,41 +136,31 @@ def _synchronised(
     for _ in range(_SYNCHRONISATIONS):
         data = delayed(data, delay)
         known = known + np.array([0.0, 0.0, 0.0, delay, 0.0])
-        keys = choose_keys(data, config.keys)
+        keys = choose_keys(data, config)
         local = odometry_trajectory(keys, np.zeros(3))
-        if len(keys) > 1 and len(keys.point_key):
-            local = smooth_locally(keys, local, config, data.range_std)
+        if len(keys) > 1 and len(keys.point_event):
+            local = smooth_locally(keys, local)
         delay = float(local.bias[3])
         if abs(delay) < _SYNCHRONOUS:
             break
-    return data, keys, local, known
+    return keys, local, known
 
 
-@dataclass(frozen=True, eq=False)
-class LogProblem:
-    """One log or two: key poses, trajectory without loops, recording, and settings."""
+def smooth_with_loops(
+    keys: KeyPoses, local: Trajectory, trajectory: Trajectory, report: Report
+) -> GraphResult:
+    """Find the loops between chunks that are cut from a trajectory, and solve for all key poses.
 
-    keys: KeyPoses
-    local: Trajectory
-    data: LogData
-    config: GraphConfig
-
-
-def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
-    """Find the loops between chunks that are cut from a trajectory, and solve for all key poses."""
-    keys = problem.keys
-    data = problem.data
-    config = problem.config
+    The trajectory ``local`` without loops tells how well the motions between the chunks are known.
+    """
+    maps = keys.config.maps
     report("search for loops")
-    middles = chunk_middles(keys, config.maps, config.maps.hop)
+    middles = chunk_middles(keys, maps.hop)
     poses = trajectory.poses[middles]
-    graph = cautious_graph(keys, problem.local, config, data.range_std)
-    covariances = inflated(motion_covariances(graph, problem.local.poses, middles))
-    hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-    found = search_loops(
-        cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops
-    )
-    good = supported(found, poses, keys.key_travel[middles])
+    covariances = motion_covariances(cautious_graph(keys, local), local.poses, middles)
+    hops = Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances))
+    found = search_loops(cut_chunks(keys, trajectory, middles), poses[0], hops, maps)
+    good = supported(found, poses, keys.key_travel[middles], maps.hop)
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
     solved, weights = solve_annealed(poses[0], hops, loops)
@@ -188,12 +174,13 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
         if not agreed
     ]
     moved = carry_over(keys, trajectory, middles, solved)
-    kept = _between_keys([loop for loop in judged if loop.reason == KEPT], middles)
-    smoothed = bundle(keys, moved, kept, config, data.range_std)
+    smoothed = bundle(keys, moved, _between_keys(judged, middles))
     return GraphResult("loops", keys, smoothed, smoothed.bias, judged, middles)
 
 
 def _between_keys(loops: Sequence[Loop], middles: IntArray) -> Relations:
-    """Loops between chunks with the middles (c,) as relations between key poses."""
-    ends, relative, information = relations_of(loops)
+    """The loops that are kept, between chunks with the middles (c,), as relations between key
+    poses.
+    """
+    ends, relative, information = relations_of([loop for loop in loops if loop.reason == KEPT])
     return middles[ends], relative, information

@@ -8,8 +8,8 @@ with the share of driving that is new in it, and the sum is the prior of the nex
 
 import math
 from bisect import bisect_left
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,6 +51,15 @@ a robot that stands or creeps sees nothing new.
 """
 
 
+class _Event(NamedTuple):
+    time: float  # s
+    travel: float  # distance driven, m, with ``APART`` for each break of odometry
+    move: FloatArray  # motion (3,) since the event before
+    ranges: FloatArray  # (b,), m
+    hit: BoolArray  # whether each beam has seen a wall (b,)
+    break_stds: FloatArray | None  # standard deviations (3,) of the motion if it is unknown
+
+
 class RecentEvents:
     """The latest events of a robot that reports poses of odometry, with their numbers since the
     beginning.
@@ -76,17 +85,12 @@ class RecentEvents:
         # travel and turn of a place, and its events
         self._place = (0.0, 0.0)
         self._crowd = 0
-        self._times = list[float]()
-        self._travels = list[float]()
-        self._breaks = dict[int, FloatArray]()
-        self._moves = list[FloatArray]()
-        self._ranges = list[FloatArray]()
-        self._hits = list[BoolArray]()
+        self._events = list[_Event]()
 
     @property
     def last(self) -> int:
         """Number of the last event."""
-        return self.first + len(self._times) - 1
+        return self.first + len(self._events) - 1
 
     def append(
         self,
@@ -103,63 +107,57 @@ class RecentEvents:
         self._odometry = np.array(odometry)
         self.travel += math.hypot(move[0], move[1])
         if break_stds is not None:
-            self._breaks[self.last + 1] = break_stds
             self.travel += APART
         self.turned += abs(float(move[2]))
         self.backwards -= min(float(move[0]), 0.0)
-        self.last_motion = move
+        self.last_motion = move.copy()
         travel, turned = self._place
         if self.travel - travel >= KEY_DISTANCE or self.turned - turned >= KEY_TURN:
             self._place = (self.travel, self.turned)
             self._crowd = 0
         self._crowd += 1
         if self._crowd > _CROWD:
-            move = compose(self._moves[-1], move)
-            for events in self._kept:
-                del events[-1:]
-        self._times.append(time)
-        self._travels.append(self.travel)
-        for events, each in ((self._moves, move), (self._ranges, ranges), (self._hits, hit)):
-            events.append(np.array(each))
+            move = compose(self._events.pop().move, move)
+        self._events.append(
+            _Event(time, self.travel, move, np.array(ranges), np.array(hit), break_stds)
+        )
 
     def at(self, travel: float) -> int:
         """Number of the first event at which this distance was driven, m, or of the last event."""
-        return min(self.first + bisect_left(self._travels, travel), self.last)
+        number = bisect_left(self._events, travel, key=lambda event: event.travel)
+        return min(self.first + number, self.last)
 
     def travel_at(self, event: int) -> float:
         """Distance driven up to an event, m."""
-        return self._travels[event - self.first]
+        return self._events[event - self.first].travel
 
     def forget_before(self, event: int) -> None:
         """Forget the events before an event."""
-        old = slice(0, event - self.first)
-        for events in self._kept:
-            del events[old]
+        del self._events[: event - self.first]
         self.first = event
-        self._breaks = {row: stds for row, stds in self._breaks.items() if row > event}
-
-    @property
-    def _kept(self) -> tuple[list[Any], ...]:
-        """What is kept of each event."""
-        return self._times, self._travels, self._moves, self._ranges, self._hits
 
     def turn_round(self, begin: int, end: int) -> None:
         """Take the motions between two events as driven backwards."""
-        for move in self._moves[begin + 1 - self.first : end + 1 - self.first]:
-            move[:2] *= -1.0
+        for event in self._events[begin + 1 - self.first : end + 1 - self.first]:
+            event.move[:2] *= -1.0
 
     def data(self, like: LogData) -> LogData:
         """The events as a log with the beams of another one."""
-        odometry = integrate(np.zeros(3), np.array(self._moves[1:]).reshape(-1, 3))
+        events = self._events
+        odometry = integrate(np.zeros(3), np.array([each.move for each in events])[1:])
+        breaks = [row for row, each in enumerate(events) if row and each.break_stds is not None]
         return replace(
             like,
-            time=np.array(self._times),
+            time=np.array([each.time for each in events]),
             odometry=odometry,
-            ranges=np.array(self._ranges),
-            hit=np.array(self._hits),
-            breaks=np.array([row - self.first for row in self._breaks], dtype=np.int64),
-            break_stds=np.array(list(self._breaks.values())).reshape(-1, 3),
+            ranges=np.array([each.ranges for each in events]),
+            hit=np.array([each.hit for each in events]),
+            breaks=np.array(breaks, dtype=np.int64),
+            break_stds=np.array([events[row].break_stds for row in breaks]).reshape(-1, 3),
         )
+
+
+_ERROR_NAMES = [each.name for each in fields(OdometryErrorConfig)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,17 +178,8 @@ class OdometryErrors:
         """The settings for odometry that is corrected for the mean errors: only what is unknown
         remains.
         """
-        turn, scale, gain, delay, direction = np.sqrt(
-            np.diag(np.linalg.inv(self.information))
-        ).tolist()
-        return replace(
-            config,
-            bias_std=turn,
-            scale_std=scale,
-            turn_gain_std=gain,
-            delay_std=delay,
-            direction_std=direction,
-        )
+        stds = np.sqrt(np.diag(np.linalg.inv(self.information))).tolist()
+        return replace(config, **dict(zip(_ERROR_NAMES, stds, strict=True)))
 
     def after(
         self, remaining: FloatArray, information: FloatArray, share: float
@@ -244,14 +233,11 @@ def smooth_window(
     ``share`` is the share of driving in the window that was in no earlier window.
     """
     config = replace(config, motion=errors.prior(config.motion), smoothing=_ITERATIONS)
-    data = corrected(data, errors.mean)
-    keys = choose_keys(data, config.keys)
-    if len(keys) < 2 or not len(keys.point_key):
+    keys = choose_keys(corrected(data, errors.mean), config)
+    if len(keys) < 2 or not len(keys.point_event):
         return None
-    trajectory = smooth_locally(
-        keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std
-    )
-    graph = cautious_graph(keys, trajectory, config, data.range_std)
+    trajectory = smooth_locally(keys, odometry_trajectory(keys, np.zeros(3)))
+    graph = cautious_graph(keys, trajectory)
     known = prior("errors", trajectory.bias[None], np.eye(ERRORS))
     information = np.linalg.inv(graph.covariances(known)[0])
     after = errors.after(trajectory.bias, information, share)
