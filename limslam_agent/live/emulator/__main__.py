@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from limslam_agent.command_options import takes
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.help import Help
-from limslam_agent.terminal import run_command, say, takes
+from limslam_agent.terminal import run_command, say
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
