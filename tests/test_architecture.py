@@ -87,12 +87,16 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
-    "limslam_agent.terminal": {"limslam_env.messages", *agent("config")},
+    "limslam_agent.terminal": env("messages"),
+    "limslam_agent.command_options": agent("config"),
     "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
     "limslam_agent.config": {*WHAT_AN_AGENT_MAY_KNOW, *agent("safe_files")},
     "limslam_agent.kernels": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.core": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "kernels", "readings")},
-    "limslam_agent.slam.published": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core")},
+    "limslam_agent.slam.published": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "kernels", "slam.core"),
+    },
     "limslam_agent.slam.consistent": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "kernels", "slam.core"),

@@ -122,8 +122,7 @@ class ConsistentEstimator(Estimator):
         motions = self._read(observations)
         for number, motion in enumerate(motions):
             self._predict(number, motion)
-        if len(self.robots) > 1:
-            self._drop_beams_on_robots()
+        self._drop_beams_on_robots()
         for number, front in enumerate(self.robots):
             self._measure(number, front)
 
