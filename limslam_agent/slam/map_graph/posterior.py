@@ -72,7 +72,8 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
     """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
 
     One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the
-    errors of odometry over two chunks, since they last for seconds, and their posterior variances in the graph of the path.
+    errors of odometry over two chunks, since they last for seconds, and their posterior variances
+    in the graph of the path.
     """
     factors = odometry(keys, trajectory)
     errors = factors.errors
