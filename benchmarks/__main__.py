@@ -7,11 +7,14 @@ What takes long to import is imported inside the commands, so that help comes at
 import os
 import sys
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from limslam_agent.command_options import takes, with_told
+from limslam_agent.config.help import Help
 from limslam_agent.endings import end_cleanly
 from limslam_agent.terminal import run_command
 
@@ -107,55 +110,57 @@ def train(
     typer.echo(f"weights     {learn(TrainConfig(seed=seed), out)}")
 
 
-@app.command()
-def scoreboard(
-    out: Annotated[Path, typer.Argument(help="Folder of the results.")],
+@dataclass(frozen=True)
+class ScoreboardOptions:
+    """The options of the scoreboard."""
+
     rows: Annotated[
-        str, typer.Option(help='Names of rows, with commas; "drive*" for all that begin so.')
-    ] = "",
+        str,
+        Help(None, 'Names of rows, with commas; "drive*" for all that begin so.', default=False),
+    ] = ""
     against: Annotated[
         Path | None,
-        typer.Option(
-            help="Compare with this scoreboard.json, or the folder of one.", show_default="none"
-        ),
-    ] = None,
-    jitter: Annotated[
-        float, typer.Option(min=0.0, help="Further noise of recorded ranges, m.")
-    ] = 0.0,
-    unused: Annotated[
-        bool, typer.Option("--unused", help="The seeds of figures that are published.")
-    ] = False,
-    workers: Workers = None,
+        Help(None, "Compare with this scoreboard.json, or the folder of one.", "none"),
+    ] = None
+    unused: Annotated[bool, Help(None, "The seeds of figures that are published.")] = False
     rows_file: Annotated[
-        Path | None,
-        typer.Option(help="Rows of your own, a TOML file.", show_default="the shipped ones"),
-    ] = None,
+        Path | None, Help(None, "Rows of your own, a TOML file.", "the shipped ones")
+    ] = None
+
+
+@app.command()
+@takes(ScoreboardOptions)
+def scoreboard(
+    out: Annotated[Path, typer.Argument(help="Folder of the results.")],
+    workers: Workers = None,
+    *,
     retry_failed: Retry = False,
+    **told: Any,
 ) -> int:
     """Measure whether a change of the estimator is kept. The same command goes on after a kill."""
     from benchmarks.scoreboard.board import FILE, read_board, run_scoreboard, table
     from benchmarks.scoreboard.compare import compared, comparison_table
     from benchmarks.scoreboard.rows import SHIPPED, read_rows
 
-    before = None if against is None else read_board(against)
+    options = with_told(ScoreboardOptions(), told)
+    before = None if options.against is None else read_board(options.against)
     board, summary, skipped = run_scoreboard(
-        read_rows(rows_file or SHIPPED),
-        _names(rows),
+        read_rows(options.rows_file or SHIPPED),
+        _names(options.rows),
         out,
         _processes(workers),
-        unused=unused,
-        jitter=jitter,
+        unused=options.unused,
         retry_failed=retry_failed,
     )
     for name in skipped:
         typer.echo(
             f"left out: {name}: it needs the folder of recorded data: set LIMSLAM_DATA", err=True
         )
-    against_it = (
-        [] if before is None else ["", *comparison_table(compared(before["cells"], board["cells"]))]
-    )
+    lines = table(board)
+    if before is not None:
+        lines += ["", *comparison_table(compared(before["cells"], board["cells"]))]
     counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
-    return _end(summary, [*table(board), *against_it, "", f"scoreboard: {counts}; {out / FILE}"])
+    return _end(summary, [*lines, "", f"scoreboard: {counts}; {out / FILE}"])
 
 
 @app.command()

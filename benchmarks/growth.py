@@ -33,11 +33,14 @@ _FIRST = 900  # steps in which the robot drives before it stands
 _JUMP = np.array([2.0, 2.0])  # m: travel of the wheels by which a robot is lost
 
 
-def _laps(robot: RobotSpec) -> Iterator[Observation]:
+ROBOT = RobotSpec()
+
+
+def _laps() -> Iterator[Observation]:
     """Laps of a world, for ever, driven by somebody who knows the true pose."""
     world = load_world(_WORLD)
-    env = LimSlamEnv(world, robot=robot, sensor_noise=_NOISE, coverage_goal=None)
-    tour = Tour(robot, lambda pose: loop_tour(world, robot, pose, 1), tours=10**6)
+    env = LimSlamEnv(world, robot=ROBOT, sensor_noise=_NOISE, coverage_goal=None)
+    tour = Tour(ROBOT, lambda pose: loop_tour(world, ROBOT, pose, 1), tours=10**6)
     seen, info = env.reset(seed=0)
     while True:
         yield seen
@@ -45,102 +48,83 @@ def _laps(robot: RobotSpec) -> Iterator[Observation]:
         seen, _, _, _, info = env.step(tour.act(None))
 
 
-def _standing(robot: RobotSpec, seen: Observation) -> Iterator[Observation]:
-    """What a robot observes that stands where it has seen something, for ever."""
-    generator = np.random.default_rng(0)
-    ranges = np.asarray(seen["ranges"], dtype=float)
-    noise = np.where(ranges < robot.too_far, _NOISE, 0.0)
-    while True:
-        yield Observation(
-            ranges=ranges + noise * generator.standard_normal(len(ranges)), wheels=np.zeros(2)
-        )
-
-
-def drives(config: AgentConfig | None = None) -> Iterator[None]:
-    """A robot drives laps."""
-    robot = RobotSpec()
-    mapper = Mapper(robot, config)
-    for seen in _laps(robot):
-        mapper.step(seen)
-        yield
-
-
-def stands(config: AgentConfig | None = None) -> Iterator[None]:
-    """A robot stands after a drive."""
-    robot = RobotSpec()
-    mapper = Mapper(robot, config)
-    yield from _stands_after(mapper, itertools.islice(_laps(robot), _FIRST))
-
-
-def lost(config: AgentConfig | None = None) -> Iterator[None]:
-    """A robot stands after its odometry has jumped, and it is lost."""
-    robot = RobotSpec()
-    mapper = Mapper(robot, config)
-    laps = _laps(robot)
-    yield from _stands_after(mapper, itertools.islice(_jumping(laps), _FIRST))
-
-
-def placed(config: AgentConfig | None = None) -> Iterator[None]:
-    """A robot stands after it has found its place again, which is not confirmed."""
-    robot = RobotSpec()
-    mapper = Mapper(robot, config)
-    until_found = itertools.takewhile(
-        lambda _: "found" not in [each["event"] for each in mapper.places.records],
-        _jumping(_laps(robot)),
-    )
-    yield from _stands_after(mapper, itertools.islice(until_found, HOUR))
-
-
-def _jumping(laps: Iterator[Observation]) -> Iterator[Observation]:
-    """A drive in which the odometry jumps shortly before its end."""
-    for number, seen in enumerate(laps):
+def _jumping() -> Iterator[Observation]:
+    """Laps in which the odometry jumps once."""
+    for number, seen in enumerate(_laps()):
         jump = _JUMP if number == _FIRST - 1 else 0.0
         yield Observation(ranges=seen["ranges"], wheels=seen["wheels"] + jump)
 
 
-def _stands_after(mapper: Mapper, drive: Iterator[Observation]) -> Iterator[None]:
+def _standing(seen: Observation) -> Iterator[Observation]:
+    """What a robot observes that stands where it has seen something, for ever."""
+    generator = np.random.default_rng(0)
+    ranges = np.asarray(seen["ranges"], dtype=float)
+    noise = np.where(ranges < ROBOT.too_far, _NOISE, 0.0)
+    while True:
+        shaken = ranges + noise * generator.standard_normal(len(ranges))
+        yield Observation(ranges=shaken, wheels=np.zeros(2))
+
+
+def _stands_after(drive: Iterable[Observation], mapper: Mapper) -> Iterator[None]:
     """The steps of a mapper in a drive, and then of a robot that stands."""
     for seen in drive:
         last = seen
         mapper.step(seen)
         yield
-    for seen in _standing(mapper.robot, last):
+    for seen in _standing(last):
         mapper.step(seen)
         yield
 
 
-def blind(config: AgentConfig | None = None) -> Iterator[None]:
+def drives(config: AgentConfig | None = None) -> Iterator[None]:
+    """A robot drives laps."""
+    return _stands_after(_laps(), Mapper(ROBOT, config))
+
+
+def stands(config: AgentConfig | None = None) -> Iterator[None]:
+    """A robot stands after a drive."""
+    return _stands_after(itertools.islice(_laps(), _FIRST), Mapper(ROBOT, config))
+
+
+def lost(config: AgentConfig | None = None) -> Iterator[None]:
+    """A robot stands after its odometry has jumped, and it is lost."""
+    return _stands_after(itertools.islice(_jumping(), _FIRST), Mapper(ROBOT, config))
+
+
+def placed(config: AgentConfig | None = None) -> Iterator[None]:
+    """A robot stands after it has found its place again, which is not confirmed."""
+    mapper = Mapper(ROBOT, config)
+    until_found = itertools.takewhile(
+        lambda _: "found" not in [each["event"] for each in mapper.places.records], _jumping()
+    )
+    return _stands_after(itertools.islice(until_found, HOUR), mapper)
+
+
+def blind(_config: AgentConfig | None = None) -> Iterator[None]:
     """The graph of a log of poses: a robot moves where its beams see nothing."""
-    del config
-    robot = RobotSpec()
-    graph = _graph(robot)
-    number = 0
-    nothing = np.zeros(len(robot.beams), dtype=bool)
-    while True:
+    graph = _graph()
+    nothing = np.zeros(len(ROBOT.beams), dtype=bool)
+    for number in itertools.count():
         pose = np.array([0.1 * _SPEED * number, 0.0, 0.0])
-        graph.step(0.1 * number, pose, robot.max_ranges, nothing)
+        graph.step(0.1 * number, pose, ROBOT.max_ranges, nothing)
         yield
-        number += 1
 
 
-def log(config: AgentConfig | None = None) -> Iterator[None]:
+def log(_config: AgentConfig | None = None) -> Iterator[None]:
     """The graph of a log of poses: laps."""
-    del config
-    robot = RobotSpec()
-    graph = _graph(robot)
+    graph = _graph()
     pose = np.zeros(3)
-    for number, seen in enumerate(_laps(robot)):
+    for number, seen in enumerate(_laps()):
         wheels = np.asarray(seen["wheels"], dtype=float)
-        pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, robot.axle)))
+        pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, ROBOT.axle)))
         ranges = np.asarray(seen["ranges"], dtype=float)
-        hit = (ranges > robot.too_near) & (ranges < robot.too_far)
-        graph.step(0.1 * number, pose, ranges, hit)
+        graph.step(0.1 * number, pose, ranges, (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far))
         yield
 
 
-def _graph(robot: RobotSpec) -> OnlineGraph:
-    nothing = np.zeros((0, len(robot.beams)))
-    beams = robot.beam_origins, robot.beam_angles, float(robot.max_ranges.max())
+def _graph() -> OnlineGraph:
+    nothing = np.zeros((0, len(ROBOT.beams)))
+    beams = ROBOT.beam_origins, ROBOT.beam_angles, float(ROBOT.max_ranges.max())
     data = LogData(np.zeros(0), np.zeros((0, 3)), nothing, nothing > 0.0, *beams, _NOISE)
     return OnlineGraph(data, np.zeros(3))
 

@@ -97,11 +97,16 @@ def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
     envs.reset(seed=0)
     envs.action_space.seed(0)
     actions = itertools.cycle([envs.action_space.sample() for _ in range(8)])
+    return _warm(lambda: envs.step(next(actions)), envs.num_envs, steps)
+
+
+def _warm(step: Callable[[], Any], num_envs: int, steps: int) -> Loop:
+    """Some steps of a batch, after its first ones."""
 
     def run(number: int = steps) -> int:
         for _ in range(number):
-            envs.step(next(actions))
-        return number * envs.num_envs
+            step()
+        return number * num_envs
 
     run(_FIRST)
     return run
@@ -125,15 +130,12 @@ def belief_loop(num_envs: int, steps: int) -> Loop:
     )
     seen, _ = envs.reset(seed=0)
 
-    def run(number: int = steps) -> int:
+    def step() -> None:
         nonlocal seen
-        for _ in range(number):
-            is_near = seen["ranges"][:, 1:5].min(axis=1, keepdims=True) < 0.4
-            seen = envs.step(np.where(is_near, (0.5, -0.5), (1.0, 0.9)))[0]
-        return number * num_envs
+        is_near = seen["ranges"][:, 1:5].min(axis=1, keepdims=True) < 0.4
+        seen = envs.step(np.where(is_near, (0.5, -0.5), (1.0, 0.9)))[0]
 
-    run(_FIRST)
-    return run
+    return _warm(step, num_envs, steps)
 
 
 def times_faster(

@@ -1,16 +1,11 @@
 """What commands show on a terminal: warnings, tables, a progress bar, and errors."""
 
-import functools
-import inspect
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
-from typing import Annotated, Any, NoReturn, get_args, get_type_hints
+from typing import NoReturn
 
 import typer
-
-from limslam_agent.config.help import Help
 
 INTERRUPTED = 130
 """Exit code of a command that Ctrl-C ended."""
@@ -107,63 +102,3 @@ def _fail(name: str, message: str) -> NoReturn:
 
         typer.echo(f"{name}: {one_line(message)}", err=True)
     sys.exit(2)
-
-
-def takes(kind: type[Any] | None = None) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Make a function a command that has the options of a dataclass, if one is given, and then
-    those of its own named arguments.
-
-    The function gets the options of the dataclass as keyword arguments, None for those that were
-    not given.
-    """
-
-    def decorated(function: Callable[..., None]) -> Callable[..., None]:
-        own = [
-            each.replace(annotation=_with_option(each.name, each.annotation))
-            for each in inspect.signature(function).parameters.values()
-            if each.kind is not each.VAR_KEYWORD
-        ]
-
-        @functools.wraps(function)
-        def command(**arguments: Any) -> None:
-            function(**arguments)
-
-        parameters = own if kind is None else [*_declared(kind), *own]
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what typer looks at
-        command.__annotations__ = {each.name: each.annotation for each in parameters}
-        return command
-
-    return decorated
-
-
-def _declared(kind: type[Any]) -> list[inspect.Parameter]:
-    """The arguments of a function that typer makes the options of a dataclass of."""
-    hints = get_type_hints(kind, include_extras=True)
-    options = {
-        field.name: _with_option(field.name, hints[field.name], field.default)
-        for field in fields(kind)
-    }
-    return [
-        inspect.Parameter(
-            name, inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None, annotation=hint
-        )
-        for name, hint in options.items()
-        if any(isinstance(each, typer.models.OptionInfo) for each in get_args(hint))
-    ]
-
-
-def _with_option(name: str, hint: Any, default: Any = None) -> Any:
-    """The annotation of an argument, with an option of typer in place of its `Help`."""
-    plain, *extras = get_args(hint) if hasattr(hint, "__metadata__") else (hint,)
-    said = next((each for each in extras if isinstance(each, Help)), None)
-    if said is None:
-        return hint
-    shown = said.default
-    if shown is True and default in (None, False):
-        shown = False
-    if shown is True:
-        shown = f"{default:g}" if isinstance(default, float) else str(default)
-    # Nothing is said to switch a bool off.
-    names = [said.name or f"--{name.replace('_', '-')}"] if said.name or plain is bool else []
-    option = typer.Option(*names, help=said.words, rich_help_panel=said.panel, show_default=shown)
-    return Annotated[plain | None, option]

@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks.suite.faults import FAULTS
 from benchmarks.suite.jobs import LAPS_POLICY, RANDOM
 from benchmarks.suite.store import Row
+from limslam_agent.measurements.statistics import MISSING
 from limslam_env.geometry import FloatArray
 
 PUBLISHED = "paper"
@@ -50,9 +51,16 @@ class Setting:
         return self.preset if self.ablation is None else f"{self.preset}, {self.ablation}"
 
     @property
-    def noise_text(self) -> str:
-        """The noise in centimetres, as text."""
-        return "all" if self.noise is None else f"{100.0 * self.noise:g} cm"
+    def words(self) -> dict[str, str]:
+        """The fields as text, with the noise in centimetres."""
+        return {
+            "world": self.world,
+            "laps": str(self.laps or MISSING),
+            "noise": "all" if self.noise is None else f"{100.0 * self.noise:g} cm",
+            "robots": str(self.robots),
+            "policy": self.policy,
+            "method": self.method,
+        }
 
     @property
     def pooled(self) -> "Setting":
@@ -64,13 +72,9 @@ class Setting:
         """``drive`` along a known path, ``faulty`` if a fault began in an exploration, or
         ``exploration``.
         """
-        return (
-            "drive"
-            if self.policy in {LAPS_POLICY, TOUR}
-            else "faulty"
-            if self.policy in FAULTS
-            else "exploration"
-        )
+        if self.policy in {LAPS_POLICY, TOUR}:
+            return "drive"
+        return "faulty" if self.policy in FAULTS else "exploration"
 
     @property
     def order(self) -> tuple[object, ...]:
@@ -145,13 +149,12 @@ def groups(rows: Iterable[Row]) -> list[Group]:
 
 def with_sums(parts: Sequence[Group]) -> list[Group]:
     """Groups, followed by the sums over all worlds and noises of those that have several."""
-    pooled: dict[Setting, list[Row]] = {}
+    pooled: dict[Setting, list[Group]] = {}
     for part in parts:
-        pooled.setdefault(part.setting.pooled, []).extend(part.rows)
-    several = {
-        setting for setting in pooled if sum(part.setting.pooled == setting for part in parts) > 1
-    }
-    return [
-        *parts,
-        *(Group(setting, rows) for setting, rows in pooled.items() if setting in several),
+        pooled.setdefault(part.setting.pooled, []).append(part)
+    sums = [
+        Group(setting, [row for part in several for row in part.rows])
+        for setting, several in pooled.items()
+        if len(several) > 1
     ]
+    return [*parts, *sums]

@@ -61,27 +61,22 @@ class Sheet:
 
     def without_empty(self) -> "Sheet":
         """The table without columns of numbers that contain no number."""
-        kept = [
-            number
-            for number in range(len(self.header))
-            if number < self.words or any(row[number] != MISSING for row in self.rows)
+        columns = [
+            column
+            for number, column in enumerate(zip(self.header, *self.rows, strict=True))
+            if number < self.words or {*column[1:]} != {MISSING}
         ]
-        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
-        return Sheet(
-            self.title, self.note, tuple(self.header[number] for number in kept), rows, self.words
-        )
+        header, *rows = zip(*columns, strict=True)
+        return replace(self, header=header, rows=tuple(rows))
 
     def markdown(self) -> str:
         """The table in Markdown."""
         marks = ["---" if number < self.words else "---:" for number in range(len(self.header))]
-        lines = [
-            f"### {_escaped(self.title)}",
-            "",
-            _line(map(_escaped, self.header)),
-            f"|{'|'.join(marks)}|",
-        ]
-        lines += [_line(map(_escaped, row)) for row in self.rows]
-        return "\n".join([*lines, *(["", _escaped(self.note)] if self.note else [])])
+        header, *rows = (
+            f"| {' | '.join(map(_escaped, row))} |" for row in (self.header, *self.rows)
+        )
+        lines = [f"### {_escaped(self.title)}", "", header, f"|{'|'.join(marks)}|", *rows]
+        return "\n".join([*lines, "", _escaped(self.note)])
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -97,9 +92,7 @@ def sheets(rows: Sequence[Row]) -> list[Sheet]:
     explored = [part for part in parts if part.setting.kind == "exploration"]
     by_frontier = [part for part in explored if part.setting.policy == FRONTIER]
     others = {
-        (part.setting.world, part.setting.noise)
-        for part in explored
-        if part.setting.policy != FRONTIER
+        (part.setting.world, part.setting.noise) for part in explored if part not in by_frontier
     }
     smoothed = [part for part in by_frontier if len(part.values(metric("ate_smoothed_m")))]
     found = [
@@ -140,28 +133,19 @@ def _sheet(
     """
     if not parts:
         return None
-    facts: dict[str, Callable[[Setting], str]] = {
-        "world": lambda setting: setting.world,
-        "laps": lambda setting: str(setting.laps or MISSING),
-        "noise": lambda setting: setting.noise_text,
-        "robots": lambda setting: str(setting.robots),
-        "policy": lambda setting: setting.policy,
-        "method": lambda setting: setting.method,
-    }
-    words = {name: [fact(part.setting) for part in parts] for name, fact in facts.items()}
-    words = {
-        name: cells
-        for name, cells in words.items()
-        if name in {"world", "noise"} or len(set(cells)) > 1
-    }
+    facts = [part.setting.words for part in parts]
+    words = [
+        name
+        for name in ("world", "laps", "noise", "robots", "policy", "method")
+        if name in {"world", "noise"} or len({each[name] for each in facts}) > 1
+    ]
     all_columns = [("n", _ended), *columns]
     rows = tuple(
-        (*about, *(text(part) for _, text in all_columns))
-        for about, part in zip(zip(*words.values(), strict=True), parts, strict=True)
+        (*(about[name] for name in words), *(text(part) for _, text in all_columns))
+        for about, part in zip(facts, parts, strict=True)
     )
-    return Sheet(
-        title, note, (*words, *(name for name, _ in all_columns)), rows, len(words)
-    ).without_empty()
+    header = (*words, *(name for name, _ in all_columns))
+    return Sheet(title, note, header, rows, len(words)).without_empty()
 
 
 def _ended(part: Group) -> str:
@@ -366,33 +350,24 @@ def _pairs_row(setting: Setting, pairs: Sequence[tuple[Group, Group]]) -> tuple[
             (values(metric(name)), ratio, each) for _, name, ratio, each in _MEASURES
         )
     ]
-    world = f"{setting.world}, {setting.laps} laps" if setting.laps else setting.world
-    words = (setting.method, world, setting.noise_text, str(setting.robots), setting.policy)
+    told = setting.words
+    if setting.laps:
+        told["world"] += f", {setting.laps} laps"
+    words = [told[name] for name in ("method", "world", "noise", "robots", "policy")]
     return (*words, str(count), str(ended.left_out), str(ended.unpaired or MISSING), *cells)
 
 
 def _failures(rows: Sequence[Row]) -> Sheet | None:
     """All failed runs with the reasons; None if no run failed."""
-    failed = [
-        (
-            row.world,
-            setting.noise_text,
-            str(row.robots),
-            setting.method,
-            row.policy,
-            str(row.seed),
-            row.error,
-        )
-        for row, setting in ((row, setting_of(row)) for row in rows)
-        if row.error is not None
-    ]
     header = ("world", "noise", "robots", "method", "policy", "seed", "reason")
+    failed = []
+    for row in rows:
+        if row.error is not None:
+            words = setting_of(row).words | {"world": row.world}
+            told = words | {"seed": str(row.seed), "reason": row.error}
+            failed.append(tuple(told[name] for name in header))
     note = f"{len(failed)} of {len(rows)} runs failed. They are in every count, and in no median."
     return Sheet("Failures", note, header, tuple(failed), len(header)) if failed else None
-
-
-def _line(cells: "map[str]") -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def _escaped(text: str) -> str:

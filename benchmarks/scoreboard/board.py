@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import tokenize
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
@@ -45,22 +45,6 @@ _LAYOUT = frozenset(
     }
 )
 
-_HEADER = (
-    "row",
-    "n",
-    "filter ATE m",
-    "aligned",
-    "smoothed ATE m",
-    "aligned",
-    "NEES/3 filter / smoothed",
-    "F1 / faces 5 cm",
-    "wrong and ok s (longest, at the end)",
-    "false alarms s",
-    "status",
-    "right (ok)",
-    "CPU s drive / smoothing",
-)
-
 ESTIMATOR = (
     "slam",
     "places",
@@ -91,14 +75,12 @@ def run_scoreboard(
     processes: Processes,
     *,
     unused: bool = False,
-    jitter: float = 0.0,
     retry_failed: bool = False,
 ) -> tuple[Board, Summary, list[str]]:
     """Measure the cells that have no result in a folder yet, and write ``scoreboard.json`` there.
 
     Of the rows, those are measured whose names match one of the patterns, or all if there are none.
-    ``unused`` takes the seeds of figures that are published. ``jitter`` is the standard deviation
-    of further noise of recorded ranges, m.
+    ``unused`` takes the seeds of figures that are published.
 
     Returns
     -------
@@ -118,17 +100,16 @@ def run_scoreboard(
     by_name = {row.name: row for row in rows.row}
     first = rows.unused_seed if unused else rows.tuning_seed
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
-    known = digest([[asdict(row) for row in rows.row], first, jitter, digest_of(estimator_files())])
+    known = digest([[asdict(row) for row in rows.row], first, digest_of(estimator_files())])
     suite = Suite("scoreboard", tuple(jobs), known)
-    summary = run_suite(
-        suite, folder, processes, work=partial(measure, by_name, jitter), retry_failed=retry_failed
-    )
-    board = board_of(folder, by_name, first, jitter)
+    work = partial(measure, by_name)
+    summary = run_suite(suite, folder, processes, work=work, retry_failed=retry_failed)
+    board = board_of(folder, by_name, first)
     replace_content(folder / FILE, written(board))
     return board, summary, skipped
 
 
-def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int, jitter: float) -> Board:
+def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int) -> Board:
     """The figures in a folder of results, in the order of the rows."""
     order = {name: number for number, name in enumerate(rows)}
     cells = []
@@ -144,7 +125,6 @@ def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int, jitter: flo
         "commit": commit(),
         "python": platform.python_version(),
         "processors": os.cpu_count(),
-        "jitter_m": jitter,
         "first_seed": first_seed,
     }
     return {"provenance": provenance, "size": size_of(estimator_files()), "cells": cells}
@@ -188,49 +168,21 @@ def table(board: Board) -> list[str]:
         f"estimator: {size}",
         f"status: {ok:.0f} s with a stated chance below {LIMIT:.0%}{share}",
         "",
-        f"| {' | '.join(_HEADER)} |",
-        f"|{'---|' * len(_HEADER)}",
+        f"| row | n | {' | '.join(heading for heading, _ in _COLUMNS)} |",
+        f"|{'---|' * (len(_COLUMNS) + 2)}",
         *rows,
     ]
 
 
 def _line(name: str, all_cells: Sequence[Cell]) -> str:
     cells = [cell for cell in all_cells if "error" not in cell]
-    statuses = [str(cell["status"]) for cell in cells if "status" in cell]
-    counts = ", ".join(
-        f"{statuses.count(each)} {each}" for each in ("ok", "unsure", "lost") if each in statuses
-    )
     failed = len(all_cells) - len(cells)
-    placed = [cell["placed"] for cell in cells if "placed" in cell]
-    counts += f", {sum(placed)} of {len(placed)} placed" if placed else ""
-    paths = [
-        _spread(cells, f"ate{kind}_m")
-        for kind in ("", "_aligned", "_smoothed", "_smoothed_aligned")
-    ]
-    nees, walls, cpu = (
-        " / ".join(_median(cells, each, digits) for each in names)
-        for names, digits in (
-            (("nees", "nees_smoothed"), 1),
-            (("f1_5cm", "faces_5cm"), 2),
-            (("drive_cpu_s", "smoothing_cpu_s"), 1),
-        )
-    )
-    longest = max(_values(cells, "longest_wrong_ok_s"), default=None)
-    longest_words = MISSING if longest is None else f"{longest:.0f}"
-    wrong = f"{_total(cells, 'wrong_ok_s')} ({longest_words}, {_total(cells, 'wrong_ok_end')})"
     count = f"{len(cells)} ({failed} failed)" if failed else str(len(cells))
-    right = [each for each in cells if _is_right(each)]
-    rights = f"{len(right)} ({sum(each.get('status') == 'ok' for each in right)})"
-    alarms = _total(cells, "false_alarm_s")
-    figures = (name, count, *paths, nees, walls, wrong, alarms, counts, rights, cpu)
-    return f"| {' | '.join(figures)} |"
+    return f"| {' | '.join([name, count, *(text(cells) for _, text in _COLUMNS)])} |"
 
 
-def _is_right(cell: Cell) -> bool:
-    """Whether the best path of a cell is right, after alignment."""
-    paths = ("ate_smoothed_aligned_m", "ate_aligned_m")
-    errors = [cell[name] for name in paths if cell.get(name) is not None]
-    return bool(errors) and errors[0] < RIGHT
+Text = Callable[[Sequence[Cell]], str]
+"""The text of a column for the cells of a row."""
 
 
 def _values(cells: Sequence[Cell], name: str) -> list[float]:
@@ -242,15 +194,64 @@ def _median(cells: Sequence[Cell], name: str, digits: int) -> str:
     return number(float(np.median(values)), digits) if values else MISSING
 
 
-def _spread(cells: Sequence[Cell], name: str) -> str:
+def _medians(digits: int, *names: str) -> Text:
+    return lambda cells: " / ".join(_median(cells, name, digits) for name in names)
+
+
+def _spread(name: str) -> Text:
     """The median and the worst, m."""
-    values = _values(cells, name)
-    return f"{np.median(values):.3f} ({max(values):.3f})" if values else MISSING
+
+    def text(cells: Sequence[Cell]) -> str:
+        values = _values(cells, name)
+        return f"{np.median(values):.3f} ({max(values):.3f})" if values else MISSING
+
+    return text
 
 
-def _total(cells: Sequence[Cell], name: str) -> str:
+def _total(cells: Sequence[Cell], name: str, of: Callable[[list[float]], float] = sum) -> str:
     values = _values(cells, name)
-    return f"{sum(values):.0f}" if values else MISSING
+    return f"{of(values):.0f}" if values else MISSING
+
+
+def _wrong(cells: Sequence[Cell]) -> str:
+    longest = _total(cells, "longest_wrong_ok_s", max)
+    return f"{_total(cells, 'wrong_ok_s')} ({longest}, {_total(cells, 'wrong_ok_end')})"
+
+
+def _statuses(cells: Sequence[Cell]) -> str:
+    statuses = [cell.get("status") for cell in cells]
+    counts = [
+        f"{statuses.count(each)} {each}" for each in ("ok", "unsure", "lost") if each in statuses
+    ]
+    placed = [cell["placed"] for cell in cells if "placed" in cell]
+    return ", ".join(counts) + (f", {sum(placed)} of {len(placed)} placed" if placed else "")
+
+
+def _rights(cells: Sequence[Cell]) -> str:
+    right = [each for each in cells if _is_right(each)]
+    return f"{len(right)} ({sum(each.get('status') == 'ok' for each in right)})"
+
+
+def _is_right(cell: Cell) -> bool:
+    """Whether the best path of a cell is right, after alignment."""
+    paths = ("ate_smoothed_aligned_m", "ate_aligned_m")
+    errors = [cell[name] for name in paths if cell.get(name) is not None]
+    return bool(errors) and errors[0] < RIGHT
+
+
+_COLUMNS: tuple[tuple[str, Text], ...] = (
+    ("filter ATE m", _spread("ate_m")),
+    ("aligned", _spread("ate_aligned_m")),
+    ("smoothed ATE m", _spread("ate_smoothed_m")),
+    ("aligned", _spread("ate_smoothed_aligned_m")),
+    ("NEES/3 filter / smoothed", _medians(1, "nees", "nees_smoothed")),
+    ("F1 / faces 5 cm", _medians(2, "f1_5cm", "faces_5cm")),
+    ("wrong and ok s (longest, at the end)", _wrong),
+    ("false alarms s", lambda cells: _total(cells, "false_alarm_s")),
+    ("status", _statuses),
+    ("right (ok)", _rights),
+    ("CPU s drive / smoothing", _medians(1, "drive_cpu_s", "smoothing_cpu_s")),
+)
 
 
 def estimator_files() -> list[Path]:

@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks.scoreboard.made_up_logs import (
     ROBOT,
     MadeUpLog,
+    between,
     cut_world,
     drifting_odometry,
     seen_ranges,
@@ -216,7 +217,7 @@ def campus_log(seed: int) -> MadeUpLog:
     path = poses_along(np.array([*route[0], 0.0]), route[1:], ROBOT, Speeds(_SPEED, 1.0))
     step = generator.uniform(*_SPACING) / (_SPEED * ROBOT.control_period)
     rows = np.arange(0.0, len(path) - 1.0, step)
-    truth = np.column_stack([np.interp(rows, np.arange(len(path)), each) for each in path.T])
+    truth = between(rows, np.arange(float(len(path))), path)
     time = ROBOT.control_period * rows
     kind = str(generator.choice(list(ODOMETRY)))
     odometry = drifting_odometry(truth, ODOMETRY[kind], generator)

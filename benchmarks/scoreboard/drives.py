@@ -36,12 +36,9 @@ Driver = Callable[[FloatArray, bool], FloatArray]
 """Wheel speeds (2,) by the true pose (3,) and whether the robot touches something."""
 
 
-def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> RecordedLog:
+def recorded_drive(row: Row, world: World, seed: int) -> RecordedLog:
     """The drive of a row, with the readings that its robot reports. It is the same for the same
     arguments.
-
-    ``jitter`` is the standard deviation of further noise of the ranges, m, by which the noise of
-    the scoreboard itself is measured.
     """
     robot = row.robot
     generator = np.random.default_rng([seed, 1])
@@ -51,7 +48,7 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
         turns[fault.beam] = math.radians(fault.size)
     true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
     ranges, wheels, true = _driven(row, world, true_robot, seed, generator)
-    ranges = shaken(ranges, robot, jitter, seed)
+    ranges = shaken(ranges, robot, row.jitter, seed)
     time = robot.control_period * np.arange(float(len(true)))
     if fault is not None:
         if fault.kind == "delayed":

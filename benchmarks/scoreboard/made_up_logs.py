@@ -115,11 +115,20 @@ def cut_world(
     return World(name, (width, height), walls_of(floor), starts=start)
 
 
+def travel_along(way: FloatArray) -> FloatArray:
+    """The distance (n,) driven to each point of a way (n, 2), m."""
+    return np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
+
+
+def between(where: FloatArray, known: FloatArray, rows: FloatArray) -> FloatArray:
+    """Rows (k, c) at some places (k,), by the rows (n, c) at known places (n,)."""
+    return np.column_stack([np.interp(where, known, column) for column in rows.T])
+
+
 def _cells_along(way: FloatArray) -> IntArray:
     """The cells (k, 2) along a way (n, 2), m."""
-    travel = np.append(0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T)))
-    steps = np.arange(0.0, travel[-1], _CELL)
-    points = np.column_stack([np.interp(steps, travel, each) for each in way.T])
+    travel = travel_along(way)
+    points = between(np.arange(0.0, travel[-1], _CELL), travel, way)
     return np.unique(np.round(points / _CELL).astype(np.int64), axis=0)
 
 
@@ -214,7 +223,7 @@ def driven_path(
             continue
         leg = poses_along(parts[-1][-1], way, ROBOT, speeds)
         parts += [leg[1:], np.tile(leg[-1], (int(generator.integers(1, 30)), 1))]
-        driven += float(np.hypot(*np.diff(leg[:, :2], axis=0).T).sum())
+        driven += float(travel_along(leg[:, :2])[-1])
         at = goal
         been = [*been, *way]
     return np.concatenate(parts)
@@ -242,8 +251,7 @@ def flight_log(seed: int, beams: FloatArray) -> MadeUpLog:
     generator = np.random.default_rng([seed, 6])
     world = _rooms(generator)
     path = driven_path(world, _LONGEST_FLIGHT, generator, revisits=False)
-    travel = np.append(0.0, np.cumsum(np.hypot(*np.diff(path[:, :2], axis=0).T)))
-    path = path[travel <= generator.uniform(_SHORTEST_FLIGHT, _LONGEST_FLIGHT)]
+    path = path[travel_along(path[:, :2]) <= generator.uniform(_SHORTEST_FLIGHT, _LONGEST_FLIGHT)]
     time = ROBOT.control_period * np.arange(float(len(path)))
     errors = str(generator.choice(("good", "medium")))
     odometry = drifting_odometry(path, (*ODOMETRY[errors][:5], 0), generator)
@@ -251,16 +259,12 @@ def flight_log(seed: int, beams: FloatArray) -> MadeUpLog:
     return MadeUpLog(f"flight{seed}", errors, time, path, odometry, ranges)
 
 
-def _kind(seed: int) -> str:
-    return list(WORLDS)[seed % len(WORLDS)]
-
-
 def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True) -> MadeUpLog:
     """The log of a seed; the kinds of buildings take turns. ``length`` is the distance driven, m;
     None to draw it.
     """
     generator = np.random.default_rng(seed)
-    kind = _kind(seed)
+    kind = list(WORLDS)[seed % len(WORLDS)]
     world = WORLDS[kind](generator)
     path = driven_path(
         world, length or generator.uniform(100.0, 220.0), generator, revisits=revisits
@@ -268,10 +272,9 @@ def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True
     period = ROBOT.control_period
     delay = generator.uniform(0.0, 0.15)
     time = np.arange(0.0, period * (len(path) - 1) - delay, generator.uniform(0.15, 0.4))
-    truth, later = (
-        np.column_stack([np.interp(when, period * np.arange(len(path)), each) for each in path.T])
-        for when in (time, time + delay)
-    )
+    times = period * np.arange(float(len(path)))
+    truth = between(time, times, path)
+    later = between(time + delay, times, path)
     errors = str(generator.choice(list(ODOMETRY)))
     odometry = drifting_odometry(later, ODOMETRY[errors], generator)
     return MadeUpLog(
@@ -372,9 +375,7 @@ def known_relations(log: MadeUpLog) -> Relations:
     return Relations(log.time[begin], log.time[end], se2.between(log.truth[begin], log.truth[end]))
 
 
-def sparse_sensor(
-    seed: int, few: float = 5.0, many: float = 40.0
-) -> tuple[tuple[float, ...], float]:
+def sparse_sensor(seed: int, few: float, many: float) -> tuple[tuple[float, ...], float]:
     """The beams of a log, deg (4, 6, 8 or 11 in turns), and the readings of walls in a metre of
     driving, from few to many.
     """

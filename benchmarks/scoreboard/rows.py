@@ -66,6 +66,9 @@ class Row:
     # drive), and its size where it is not that of the kind
     fault: str | None = None
     fault_size: float = math.nan
+    # Standard deviation of further noise of recorded ranges, m, by which the noise of the
+    # scoreboard itself is measured
+    jitter: float = 0.0
     # robots, unknown_starts, kidnapped: number of robots of an exploration, whether the second
     # one's start is unknown, and the earliest and the latest time at which the robot is kidnapped,
     # s
@@ -89,8 +92,8 @@ class Row:
     def __post_init__(self) -> None:
         if self.seeds < 1 or not self.worlds:
             raise ValueError("a row needs at least one seed and one world")
-        if not (self.noise >= 0.0 and self.seconds > 0.0):
-            raise ValueError("the noise is 0 m or more, and the time is above 0 s")
+        if not (self.noise >= 0.0 and self.jitter >= 0.0 and self.seconds > 0.0):
+            raise ValueError("noise and jitter are 0 m or more, and the time is above 0 s")
         if self.kind == "log" and not (self.file and self.relations and self.beams):
             raise ValueError("a log needs its file, relations and beams")
         if self.fault is not None and self.fault not in FAULTS:

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -80,133 +81,97 @@ class Fault:
         self.step += 1
         self._earlier.append(told["ranges"])
         kind = FAULTS[self.kind]
-        if time < self.begin - 1e-9 or kind.alter is None:
+        if time < self.begin - 1e-9 or kind.is_of_simulator:
             return told
         if self.first_step is None:
             self.first_step = self.step
-        ranges = told["ranges"].copy()
-        wheels = told["wheels"].copy()
-        has_arrived = kind.alter(self, ranges, wheels)
-        self.last = ranges
-        return Observation() if has_arrived is False else Observation(ranges=ranges, wheels=wheels)
+        self.last = kind.ranges(self, told["ranges"].copy())
+        wheels = kind.wheels(self, told["wheels"].copy())
+        return Observation(ranges=self.last, wheels=wheels) if kind.arrives(self) else Observation()
 
 
-Alteration = Callable[[Fault, ReadingArray, ReadingArray], bool | None]
-"""Alters the ranges (n_beams,) and the wheel travel (2,) of a step in place. False says that
-nothing of the step arrives.
+Alteration = Callable[[Fault, ReadingArray], ReadingArray]
+"""Makes of a copy of the ranges (n_beams,) or the wheel travel (2,) of a step those that are
+reported.
 """
 
 
-def _late(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    ranges[:] = fault.late
+def _same(fault: Fault, values: ReadingArray) -> ReadingArray:
+    del fault
+    return values
 
 
-def _delayed(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    ranges[fault.beam] = fault.late[fault.beam]
+def _of_one_beam(value: Callable[[Fault], Any]) -> Alteration:
+    """One beam reads another value."""
+
+    def alter(fault: Fault, ranges: ReadingArray) -> ReadingArray:
+        ranges[fault.beam] = value(fault)
+        return ranges
+
+    return alter
 
 
-def _dead_beam(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    ranges[fault.beam] = fault.robot.max_ranges[fault.beam]
+def _of_walls(value: Alteration) -> Alteration:
+    """Other values where a beam sees something."""
+    return lambda fault, ranges: np.where(
+        ranges < fault.robot.too_far, value(fault, ranges), ranges
+    )
 
 
-def _stuck_beam(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    ranges[fault.beam] = fault.size
+def _held(fault: Fault, ranges: ReadingArray) -> ReadingArray:
+    is_held = (fault.step - np.arange(len(ranges))) % round(fault.size) != 0
+    return ranges if fault.last is None else np.where(is_held, fault.last, ranges)
 
 
-def _offset(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    ranges[ranges < fault.robot.too_far] += fault.size
-
-
-def _scale(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    ranges[ranges < fault.robot.too_far] *= 1.0 + fault.size
-
-
-def _repeats(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
-    if fault.last is not None:
-        is_held = (fault.step - np.arange(len(ranges))) % round(fault.size) != 0
-        ranges[is_held] = fault.last[is_held]
-
-
-def _person(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del wheels
+def _with_person(fault: Fault, ranges: ReadingArray) -> ReadingArray:
     np.minimum(ranges, fault.script[fault.step], out=ranges)
+    return ranges
 
 
-def _reversed(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del fault, ranges
-    wheels *= -1.0
-
-
-def _swapped(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del fault, ranges
-    wheels[:] = wheels[::-1].copy()
-
-
-def _jump(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del ranges
-    if fault.step == fault.first_step:
-        wheels += fault.size
-
-
-def _slips(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del ranges
+def _slipped(fault: Fault, wheels: ReadingArray) -> ReadingArray:
     # Turning to the left without notice means that the wheels report a turn to the right too
     # little.
     wheels += 0.5 * fault.robot.axle * fault.script[fault.step] * np.array([1.0, -1.0])
-
-
-def _lost_wheels(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> None:
-    del ranges
-    if fault.is_drawn:
-        wheels[:] = 0.0
-
-
-def _lost_reports(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> bool:
-    del ranges, wheels
-    return not fault.is_drawn
-
-
-def _gaps(fault: Fault, ranges: ReadingArray, wheels: ReadingArray) -> bool:
-    del ranges, wheels
-    return not fault.is_in_gap
+    return wheels
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A kind of fault: its size where none is given, what it does to the readings of a step, and
-    whether it is only for recorded drives.
+    """A kind of fault: its size where none is given, what it does to ranges and wheel travel,
+    whether a report arrives, and whether it is only for recorded drives or done by the simulator.
     """
 
-    size: float
-    alter: Alteration | None
+    size: float = 0.0
+    ranges: Alteration = _same
+    wheels: Alteration = _same
+    arrives: Callable[[Fault], bool] = lambda _: True
     is_recorded: bool = False
+    is_of_simulator: bool = False
 
 
 FAULTS = {
-    KIDNAPPED: FaultKind(0.0, None),
-    "reversed": FaultKind(0.0, _reversed),
-    "swapped": FaultKind(0.0, _swapped),
-    "delayed": FaultKind(1.0, _delayed),
-    "jump": FaultKind(5.0, _jump),
-    "late": FaultKind(0.1, _late),
-    "dead beam": FaultKind(0.0, _dead_beam),
-    "stuck beam": FaultKind(0.4, _stuck_beam),
-    "offset": FaultKind(0.03, _offset),
-    "scale": FaultKind(0.03, _scale),
-    "repeats": FaultKind(5.0, _repeats),
-    "lost wheels": FaultKind(20.0, _lost_wheels),
-    "lost reports": FaultKind(20.0, _lost_reports, is_recorded=True),
-    "gaps": FaultKind(2.0, _gaps, is_recorded=True),
-    "person": FaultKind(0.2, _person, is_recorded=True),
-    "slips": FaultKind(14.0, _slips, is_recorded=True),
-    "turned beam": FaultKind(5.0, None, is_recorded=True),
+    KIDNAPPED: FaultKind(is_of_simulator=True),
+    "reversed": FaultKind(wheels=lambda _, wheels: -wheels),
+    "swapped": FaultKind(wheels=lambda _, wheels: wheels[::-1].copy()),
+    "delayed": FaultKind(1.0, _of_one_beam(lambda fault: fault.late[fault.beam])),
+    "jump": FaultKind(
+        5.0, wheels=lambda fault, wheels: wheels + fault.size * (fault.step == fault.first_step)
+    ),
+    "late": FaultKind(0.1, lambda fault, _: fault.late.copy()),
+    "dead beam": FaultKind(ranges=_of_one_beam(lambda fault: fault.robot.max_ranges[fault.beam])),
+    "stuck beam": FaultKind(0.4, _of_one_beam(lambda fault: fault.size)),
+    "offset": FaultKind(0.03, _of_walls(lambda fault, ranges: ranges + fault.size)),
+    "scale": FaultKind(0.03, _of_walls(lambda fault, ranges: ranges * (1.0 + fault.size))),
+    "repeats": FaultKind(5.0, _held),
+    "lost wheels": FaultKind(
+        20.0,
+        wheels=lambda fault, wheels: np.zeros_like(wheels) if fault.is_drawn else wheels,
+    ),
+    "lost reports": FaultKind(20.0, arrives=lambda fault: not fault.is_drawn, is_recorded=True),
+    "gaps": FaultKind(2.0, arrives=lambda fault: not fault.is_in_gap, is_recorded=True),
+    "person": FaultKind(0.2, _with_person, is_recorded=True),
+    "slips": FaultKind(14.0, wheels=_slipped, is_recorded=True),
+    "turned beam": FaultKind(5.0, is_recorded=True, is_of_simulator=True),
 }
 """All kinds of faults. In results of explorations, in the middle of which they can begin, they take
 the policy's place.

@@ -2,18 +2,19 @@
 
 import hashlib
 import os
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 from limslam_agent.config import DEFAULT_PRESET
+from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.presets import PRESETS
 from limslam_agent.config.tables import built, read_toml
 from limslam_agent.runs.policies import BELIEF_POLICIES
 from limslam_agent.runs.policy_file import file_and_name
 
 MANIFEST = "entry.toml"
-KINDS = ("shipped", "python", "command")
-USES = ("belief", "readings")
 MOST_ROBOTS = 2
 _NOT_IN_DIGEST = (
     "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
@@ -24,20 +25,21 @@ _MOST_BYTES = 500_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Manifest:
+class Manifest(Bounded):
     """The content of ``entry.toml``, whose keys ``docs/arena.md`` explains."""
 
     name: str
     authors: tuple[str, ...]
-    kind: str
+    kind: Literal["shipped", "python", "command"]
     run: str = ""
     command: tuple[str, ...] = ()
-    uses: str
-    robots: int = 1
+    uses: Literal["belief", "readings"]
+    robots: Annotated[int, Bounds(1, MOST_ROBOTS, is_whole=True)] = 1
     preset: str = DEFAULT_PRESET
     about: str = ""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.name.strip() or len(self.name) > _LONGEST_NAME or not self.name.isprintable():
             raise ValueError(
                 f"name: an entry has a name of 1 to {_LONGEST_NAME} characters, not "
@@ -45,14 +47,9 @@ class Manifest:
             )
         if not self.authors:
             raise ValueError('authors: an entry has authors: authors = ["A. Person"]')
-        _check_choice("kind", self.kind, KINDS)
-        _check_choice("uses", self.uses, USES)
-        _check_choice("preset", self.preset, tuple(PRESETS))
-        if not 1 <= self.robots <= MOST_ROBOTS:
-            raise ValueError(f"robots: must be 1 to {MOST_ROBOTS}, not {self.robots}")
-        if (self.kind == "command") != bool(self.command) or (self.kind == "command") == bool(
-            self.run
-        ):
+        if self.preset not in PRESETS:
+            raise ValueError(_not_one_of("preset", self.preset, PRESETS))
+        if {bool(self.command), not self.run} != {self.is_process}:
             raise ValueError("a command has the key command, and every other kind has the key run")
         self._check_run()
         if self.uses == "belief" and self.kind == "command":
@@ -64,11 +61,14 @@ class Manifest:
         return self.kind == "command"
 
     def _check_run(self) -> None:
-        if self.kind == "shipped":
-            _check_choice("run", self.run, BELIEF_POLICIES)
-        if self.kind == "python" and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
+        if self.kind == "shipped" and self.run not in BELIEF_POLICIES:
+            raise ValueError(_not_one_of("run", self.run, BELIEF_POLICIES))
+        if self.kind != "python":
+            return
+        path = Path(self.run)
+        if path.is_absolute() or ".." in path.parts:
             raise ValueError(f"run: {self.run!r} is not in the folder of the entry")
-        if self.kind == "python" and not _counts(Path(self.run)):
+        if not _counts(path):
             raise ValueError(f"run: {self.run!r}: {_NOT_IN_DIGEST}")
 
 
@@ -117,9 +117,8 @@ def read_entry(folder: Path) -> Entry:
     return entry
 
 
-def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name}: {', '.join(choices)} can be chosen, not {value!r}")
+def _not_one_of(name: str, value: str, choices: Iterable[str]) -> str:
+    return f"{name}: {', '.join(choices)} can be chosen, not {value!r}"
 
 
 def _digest(folder: Path) -> str:

@@ -8,10 +8,10 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from limslam_agent.arena.command import CommandActor, rights_of, without_folders
 from limslam_agent.arena.entry import Entry
@@ -58,23 +58,30 @@ class Job:
     user: str | None = None
 
 
+class Execution(NamedTuple):
+    """How plans are run: the number of processes, what writes the folders of runs (None: nothing),
+    whether plans that failed are run again, and whose rights a command has (None: the present
+    user's).
+    """
+
+    jobs: int = 1
+    keep: Keep | None = None
+    retry_failed: bool = False
+    user: str | None = None
+
+
 def run_entry(
     entry: Entry,
     plans: Sequence[Plan],
     folder: Path,
-    *,
     seed: int,
-    jobs: int,
-    keep: Keep | None = None,
-    retry_failed: bool = False,
-    user: str | None = None,
+    execution: Execution,
     report: Report = lambda _row, _count: None,
 ) -> list[Row]:
-    """Run the plans that have no row in a folder yet. Returns all rows of these plans.
+    """Run the plans of a seed that have no row in a folder yet. Returns all rows of these plans.
 
-    The folder may contain earlier results of the same entry. ``seed`` is that of the plans,
-    ``jobs`` is the number of processes, and ``keep`` writes the folders of runs. A command has the
-    rights of ``user``. ``report`` is called with each new row.
+    The folder may contain earlier results of the same entry. ``report`` is called with each new
+    row.
 
     Raises
     ------
@@ -87,9 +94,9 @@ def run_entry(
         raise ValueError(
             f"{folder}: lies in the folder of the entry, which must not change while it runs"
         )
-    rights_of(user)
+    rights_of(execution.user)
     stamp = stamp_of(entry, seed, versions=versions(), commit=commit())
-    again = {plan.number for plan in plans} if retry_failed else set()
+    again = {plan.number for plan in plans} if execution.retry_failed else set()
     with open_store(
         FORMAT, folder, stamp, lambda row: row.error is None or row.plan not in again
     ) as store:
@@ -99,13 +106,13 @@ def run_entry(
                 plan,
                 stamp.versions,
                 stamp.commit,
-                keep and partial(keep, place / RUNS / f"{plan.number:03d}"),
-                user,
+                execution.keep and partial(execution.keep, place / RUNS / f"{plan.number:03d}"),
+                execution.user,
             )
             for plan in plans
             if plan.number not in store.rows
         ]
-        for row in results_of(todo, jobs):
+        for row in results_of(todo, execution.jobs):
             store.append(row)
             report(row, sum(plan.number in store.rows for plan in plans))
         return [store.rows[plan.number] for plan in plans]
@@ -190,15 +197,11 @@ def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
     plan = job.plan
     last = dict[str, LimSlamParallelEnv]()
     is_named = not entry.manifest.is_process
+    asked = replace(
+        plan, preset=entry.manifest.preset, policy=entry.run if is_named else "frontier"
+    )
     config = RunConfig(
-        plan.world,
-        plan.noise,
-        entry.manifest.preset,
-        plan.seed,
-        plan.max_time,
-        until="seen",
-        robots=plan.robots,
-        policy=entry.run if is_named else "frontier",
+        **asked.spec,
         true_noise=plan.true_noise,
         driver="" if is_named else f"command {entry.manifest.name}",
     )

@@ -1,10 +1,11 @@
 """The plans that follow from a seed. Each has one setting of noise, robots and faults."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from limslam_agent.runs.run_spec import RunSpec
 from limslam_env.config import NoiseConfig
 
 VERSION = 1
@@ -29,26 +30,33 @@ _DROPOUT = 0.1
 _LEAST_SHARP_NOISE = 0.02
 
 
+_SETTING = (
+    "number",
+    "world",
+    "noise",
+    "robots",
+    "fault",
+    "wheel_mismatch",
+    "seed",
+    "max_time",
+)
+
+
 @dataclass(frozen=True)
-class Plan:
-    """One task: its place in the list, from 0, a floor plan by its seed and size, and the
-    conditions.
+class Plan(RunSpec):
+    """One task: a run, its place in the list, from 0, and the fault of its robots.
 
     The entry is told the standard deviation of the ranges, ``noise``, m. It is not told the fault:
     ``none``, ``wheels`` (the left encoder reports too much by the share ``wheel_mismatch``, and the
     right one too little), ``sharp`` (triangulating infrared sensors) or ``dropout`` (beams that see
-    nothing now and then). ``seed`` is that of starts and noise, and ``max_time`` the longest
-    simulated time, s.
+    nothing now and then). ``seed`` is that of starts and noise.
     """
 
-    number: int
-    world: str
-    noise: float
-    robots: int
-    fault: str
-    wheel_mismatch: float
-    seed: int
     max_time: float = MAX_TIME
+    until: str = "seen"
+    number: int = 0
+    fault: str = "none"
+    wheel_mismatch: float = 0.0
 
     @property
     def true_noise(self) -> NoiseConfig:
@@ -61,7 +69,7 @@ class Plan:
     @property
     def setting(self) -> dict[str, Any]:
         """The plan as a table."""
-        return asdict(self)
+        return {name: getattr(self, name) for name in _SETTING}
 
 
 def plans_of(seed: int = PUBLIC_SEED) -> list[Plan]:
@@ -81,15 +89,13 @@ def plans_of(seed: int = PUBLIC_SEED) -> list[Plan]:
     seeds = generator.integers(0, 10**6, COUNT)
     return [
         Plan(
-            number,
             f"random:{worlds[number]}:{sides[number, 0]:g}x{sides[number, 1]:g}",
-            max(noises[number], _LEAST_SHARP_NOISE)
-            if faults[number] == "sharp"
-            else noises[number],
-            robots[number],
-            faults[number],
-            float(signs[number]) * _WHEELS if faults[number] == "wheels" else 0.0,
-            int(seeds[number]),
+            max(noises[number], _LEAST_SHARP_NOISE if faults[number] == "sharp" else 0.0),
+            seed=int(seeds[number]),
+            robots=robots[number],
+            number=number,
+            fault=faults[number],
+            wheel_mismatch=float(signs[number]) * _WHEELS if faults[number] == "wheels" else 0.0,
         )
         for number in range(COUNT)
     ]

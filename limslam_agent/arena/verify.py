@@ -7,7 +7,7 @@ import numpy as np
 
 from limslam_agent.arena.entry import Entry, manifest_table, read_entry
 from limslam_agent.arena.results import FORMAT, Row, Stamp, digest_of, plans_digest, read_results
-from limslam_agent.arena.running import Job, results_of
+from limslam_agent.arena.running import Execution, Job, results_of
 from limslam_agent.arena.scoring import BOUNDS
 from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
 from limslam_agent.measurements.store import BaseStamp, read_stamp
@@ -51,16 +51,14 @@ def verify(
     folder: Path,
     entry: Entry,
     plans: Sequence[Plan],
-    jobs: int,
+    execution: Execution,
     generator: np.random.Generator,
-    *,
     count: int | None = None,
-    user: str | None = None,
 ) -> Iterator[tuple[Row, Row]]:
     """Run ``count`` rows of a folder of results again; all if it is None.
 
     The rows are drawn by the generator, so that nobody knows them beforehand. ``plans`` are all
-    plans, ``jobs`` is the number of processes, and a command has the rights of ``user``.
+    plans.
 
     Yields
     ------
@@ -83,9 +81,10 @@ def verify(
         )
     drawn = generator.choice(len(plans), min(count or len(plans), len(plans)), replace=False)
     jobs_again = [
-        Job(entry, plans[number], versions(), commit(), user=user) for number in sorted(drawn)
+        Job(entry, plans[number], versions(), commit(), user=execution.user)
+        for number in sorted(drawn)
     ]
-    for row in results_of(jobs_again, jobs):
+    for row in results_of(jobs_again, execution.jobs):
         yield rows[row.plan], row
 
 

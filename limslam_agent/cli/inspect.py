@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.options import ReplayOptions
+from limslam_agent.cli.options import Overwrite, ReplayOptions
 from limslam_agent.cli.replay import job_of
 from limslam_agent.cli.settings import FILE, Given, replay_agent, run_config, run_options
 from limslam_agent.terminal import progress_bar, say
@@ -28,7 +28,7 @@ def inspect(
         typer.Option(help="Write this file (.html).", show_default="RUN/inspect.html or LOG.html"),
     ] = None,
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Overwrite = False,
 ) -> None:
     """Write a page that plays a run step by step: open it in any browser."""
     from limslam_agent.inspect.page import write_page

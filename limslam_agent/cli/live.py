@@ -10,7 +10,8 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import LiveOptions
 from limslam_agent.cli.settings import Given, exploring_agent, write_live_settings
-from limslam_agent.terminal import progress_bar, say, takes, warn
+from limslam_agent.command_options import takes
+from limslam_agent.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig

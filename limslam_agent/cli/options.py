@@ -8,7 +8,7 @@ given is None, so that the file can set it. Help shows the default of the field.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeVar
 
 import typer
 
@@ -29,6 +29,9 @@ from limslam_agent.runs.run_spec import (
     Until,
 )
 
+if TYPE_CHECKING:
+    from limslam_env.worlds.world import World
+
 _LOG = "Log"
 _TABLE = "Tables (.csv)"
 _ODOMETRY = "Odometry"
@@ -47,6 +50,9 @@ _Watch = Annotated[
 ]
 _Out = Annotated[Path | None, Help(RESULTS, "Folder for the results.", "runs/...")]
 _Force = Annotated[bool, Help(RESULTS, "Replace the results of an earlier run in that folder.")]
+
+Overwrite = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+"""Of commands that write one file."""
 
 Config = Annotated[
     Path | None,
@@ -89,22 +95,6 @@ Sharp = Annotated[
         "--sharp",
     ),
 ]
-MetresPerPixel = Annotated[
-    float | None,
-    Help(WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
-]
-MetresPerUnit = Annotated[
-    float | None,
-    Help(WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
-]
-Layers = Annotated[
-    str | None,
-    Help(
-        WORLD,
-        "Layers of a plan in SVG or DXF that are walls: A,B,...",
-        "those called walls or windows, or all",
-    ),
-]
 Log = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -133,12 +123,43 @@ RosArguments = Annotated[
 
 
 @dataclass(frozen=True)
-class RunOptions(RunSpec):
+class PlanOptions(Bounded):
+    """How a world's file is read that is a plan."""
+
+    metres_per_pixel: Annotated[
+        float | None,
+        Help(WORLD, "Side of a pixel of a plan that is a picture, m. Such a plan needs it."),
+    ] = None
+    metres_per_unit: Annotated[
+        float | None,
+        Help(WORLD, "Length of a unit of a plan in SVG or DXF, m.", "what the file says"),
+    ] = None
+    layers: Annotated[
+        str | None,
+        Help(
+            WORLD,
+            "Layers of a plan in SVG or DXF that are walls: A,B,...",
+            "those called walls or windows, or all",
+        ),
+    ] = None
+
+    def load(self, world: str) -> "World":
+        """The world of that name or file."""
+        from limslam_env.worlds.formats.loading import load_world
+
+        names = None if self.layers is None else [each.strip() for each in self.layers.split(",")]
+        return load_world(
+            world,
+            metres_per_pixel=self.metres_per_pixel,
+            metres_per_unit=self.metres_per_unit,
+            layers=names,
+        )
+
+
+@dataclass(frozen=True)
+class RunOptions(PlanOptions, RunSpec):
     """The options of ``limslam run``: what is run, how a plan is read, and where results go."""
 
-    metres_per_pixel: MetresPerPixel = None
-    metres_per_unit: MetresPerUnit = None
-    layers: Layers = None
     video: Annotated[
         Path | None, Help(RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")
     ] = None

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import ReplayOptions
 from limslam_agent.cli.settings import Given, replay_agent, write_replay_settings
-from limslam_agent.terminal import progress_bar, say, takes, warn
+from limslam_agent.command_options import takes
+from limslam_agent.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig

@@ -12,8 +12,9 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import RunOptions
 from limslam_agent.cli.settings import Given, run_config, run_options, write_run_settings
+from limslam_agent.command_options import takes
 from limslam_agent.endings import code_of, exit_code, noted_endings
-from limslam_agent.terminal import Advance, progress_bar, say, takes, warn
+from limslam_agent.terminal import Advance, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.mapping.team import LimSlamTeam

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from limslam_agent.cli.options import Overwrite
+from limslam_agent.command_options import takes
 from limslam_agent.config.help import Help
-from limslam_agent.terminal import say, takes, warn
+from limslam_agent.terminal import say, warn
 
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
@@ -93,7 +95,7 @@ def score(
         Path | None, typer.Option(help="Also write the metrics into this file (.json).")
     ] = None,
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: Overwrite = False,
     **told: Any,
 ) -> None:
     """Score the trajectory and the map of any SLAM system by the metrics of this project."""

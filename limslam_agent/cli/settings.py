@@ -11,6 +11,7 @@ from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
 from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions
+from limslam_agent.command_options import with_told
 from limslam_agent.config.tables import (
     SettingsError,
     Table,
@@ -77,16 +78,15 @@ class Given:
             )
         in_file = {name: value for name, value in self.table.items() if name not in defaults.tables}
         merged = updated(defaults, in_file, str(self.path))
-        for name, value in vars(merged).items():
-            if isinstance(value, Path):
-                merged = _with(merged, name, self.beside_file(value))
-        for name in self.options.keys() & known:
-            try:
-                merged = _with(merged, name, self.options[name])
-            except ValueError as error:
-                words = str(error).removeprefix(name)
-                raise SettingsError(f"--{name.replace('_', '-')}{words}") from error
-        return merged
+        paths = {
+            name: self.beside_file(value)
+            for name, value in vars(merged).items()
+            if isinstance(value, Path)
+        }
+        merged = with_told(merged, paths)
+        return with_told(
+            merged, {name: value for name, value in self.options.items() if name in known}
+        )
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""
@@ -188,12 +188,6 @@ class Given:
             raise SettingsError(f"{self.path}: {name}: {error}") from error
 
 
-def _with(options: Options, name: str, value: Any) -> Options:
-    """The options with another value of one of them."""
-    changed: dict[str, Any] = {name: value}
-    return replace(options, **changed)
-
-
 def _wheel_variance(std: float) -> float:
     """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says."""
     if not 0.0 <= std <= _MAX_WHEEL_STD:
@@ -211,7 +205,7 @@ def run_options(given: Given) -> RunOptions:
         # The size of a random plan may have a decimal point.
         is_file = re.search(rf"{ends}$", value) and not value.startswith("random:")
         if name not in given.options and name in given.table and is_file:
-            options = _with(options, name, str(given.beside_file(Path(value))))
+            options = with_told(options, {name: str(given.beside_file(Path(value)))})
     return replace(options, ablation=None) if options.ablation == "none" else options
 
 
@@ -233,16 +227,10 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     from limslam_agent.runs.policies import check_policy
     from limslam_agent.runs.run_config import RunConfig
     from limslam_env.config import NoiseConfig
-    from limslam_env.worlds.formats.loading import load_world
 
     spec = options.spec
     with given.naming("world"):
-        world = load_world(
-            options.world,
-            metres_per_pixel=options.metres_per_pixel,
-            metres_per_unit=options.metres_per_unit,
-            layers=layer_names(options.layers),
-        )
+        world = options.load(options.world)
     agent = exploring_agent(given, options)
     with given.naming("ablation"):
         _ = options.ablation and ablated(agent, options.ablation)
@@ -258,11 +246,6 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     return RunConfig(
         **spec | {"world": world}, true_noise=true_noise, robot=given.robot(), settings=agent
     )
-
-
-def layer_names(text: str | None) -> list[str] | None:
-    """The names in the option ``--layers``; None where it is not given."""
-    return None if text is None else [name.strip() for name in text.split(",")]
 
 
 def write_run_settings(folder: Path, config: "RunConfig", world: str) -> None:

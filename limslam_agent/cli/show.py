@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.options import Overwrite
 from limslam_agent.terminal import print_table, say
 
 if TYPE_CHECKING:
@@ -26,7 +27,6 @@ _Out = Annotated[
         help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none"
     ),
 ]
-_Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 
 
 def show(
@@ -35,7 +35,7 @@ def show(
     ],
     out: _Out = None,
     *,
-    force: _Force = False,
+    force: Overwrite = False,
 ) -> None:
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.atomic_write import check_target
@@ -135,7 +135,7 @@ def compare(
     ],
     out: _Out = None,
     *,
-    force: _Force = False,
+    force: Overwrite = False,
 ) -> None:
     """Compare finished runs or replays: their metrics, their maps, and their errors over time."""
     from limslam_agent.output.atomic_write import check_target

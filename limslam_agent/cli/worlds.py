@@ -1,13 +1,13 @@
 """``limslam worlds``: list the shipped worlds, check a world file, convert one."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.options import Layers, MetresPerPixel, MetresPerUnit
-from limslam_agent.cli.settings import layer_names
-from limslam_agent.terminal import print_table, say, takes, warn
+from limslam_agent.cli.options import Overwrite, PlanOptions
+from limslam_agent.command_options import takes, with_told
+from limslam_agent.terminal import print_table, say, warn
 
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
@@ -39,15 +39,13 @@ def list_worlds(context: typer.Context) -> None:
 
 
 @worlds.command()
-@takes()
+@takes(PlanOptions)
 def check(
     world: Annotated[
         str, typer.Argument(metavar="FILE", help="A world file, or the name of a shipped world.")
     ],
     radius: Annotated[float, typer.Option(help="Radius of the robot, m.")] = 0.10,
-    metres_per_pixel: MetresPerPixel = None,
-    metres_per_unit: MetresPerUnit = None,
-    layers: Layers = None,
+    **told: Any,
 ) -> None:
     """Check whether a robot can be used in a world, and show the reason if it cannot, or where its
     outline is open.
@@ -63,7 +61,7 @@ def check(
             f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not "
             f"{radius:g}"
         )
-    place = _loaded(world, metres_per_pixel, metres_per_unit, layers)
+    place = with_told(PlanOptions(), told).load(world)
     width, height = np.ptp(place.edges.reshape(-1, 2), axis=0)
     notes = [*place.notes]
     if max(width, height) > _LARGE:
@@ -83,7 +81,7 @@ def check(
 
 
 @worlds.command()
-@takes()
+@takes(PlanOptions)
 def convert(
     source: Annotated[
         str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")
@@ -92,10 +90,8 @@ def convert(
         Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")
     ],
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
-    metres_per_pixel: MetresPerPixel = None,
-    metres_per_unit: MetresPerUnit = None,
-    layers: Layers = None,
+    force: Overwrite = False,
+    **told: Any,
 ) -> None:
     """Write a world in another format."""
     from limslam_agent.output.atomic_write import check_target
@@ -104,26 +100,10 @@ def convert(
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
     for file in files:
         check_target(file, force=force)
-    place = _loaded(source, metres_per_pixel, metres_per_unit, layers)
+    place = with_told(PlanOptions(), told).load(source)
     warn([f"{source}: {note}" for note in place.notes])
     write_world(place, target)
     say(f"world       {target}")
-
-
-def _loaded(
-    world: str,
-    metres_per_pixel: float | None,
-    metres_per_unit: float | None,
-    layers: str | None,
-) -> "World":
-    from limslam_env.worlds.formats.loading import load_world
-
-    return load_world(
-        world,
-        metres_per_pixel=metres_per_pixel,
-        metres_per_unit=metres_per_unit,
-        layers=layer_names(layers),
-    )
 
 
 def _gym_ids() -> dict[str, str]:

@@ -12,6 +12,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 
 from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, NonNegative
+from limslam_agent.config.gates import gate
 from limslam_agent.config.shared import HoughConfig
 from limslam_env.geometry import FloatArray
 
@@ -49,7 +50,7 @@ class WallAssociationConfig(Bounded):
 
     # Largest chi-square (two degrees of freedom) of the difference between the readings and a
     # landmark
-    gate: NonNegative = 9.0
+    gate: NonNegative = gate(2, 0.9889)
 
 
 @dataclass(frozen=True)

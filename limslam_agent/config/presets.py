@@ -2,7 +2,6 @@
 ablations of them.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -225,15 +224,12 @@ NO_GATE = 1e6
 as JSON.
 """
 
-_ABLATED: dict[str, Callable[[PublishedConfig], PublishedConfig]] = {
-    "no-ekf": lambda config: replace(config, filter=replace(config.filter, correct=False)),
-    "no-loop-closing": lambda config: replace(
-        config, closing=replace(config.closing, enabled=False)
-    ),
-    "no-end-gate": lambda config: replace(
-        config, association=replace(config.association, max_end_gap=NO_GATE)
-    ),
-    "only-best-line": lambda config: replace(config, hough=replace(config.hough, only_best=True)),
+# Group, name and value of the setting that an ablation changes.
+_ABLATED = {
+    "no-ekf": ("filter", "correct", False),
+    "no-loop-closing": ("closing", "enabled", False),
+    "no-end-gate": ("association", "max_end_gap", NO_GATE),
+    "only-best-line": ("hough", "only_best", True),
 }
 
 ABLATIONS = tuple(_ABLATED)
@@ -244,15 +240,14 @@ def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
     contributes. Raises a ValueError if there is no such ablation, or the estimator has no such
     part.
     """
-    estimator = config.estimator
     if ablation not in ABLATIONS:
         raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
-    if isinstance(estimator, PublishedConfig):
-        return replace(config, estimator=_ABLATED[ablation](estimator))
-    if ablation == "no-loop-closing":
-        return replace(
-            config, estimator=replace(estimator, merging=replace(estimator.merging, enabled=False))
-        )
-    raise ValueError(
-        f"{ablation} switches off a part of the published method: it needs the preset paper"
-    )
+    group, name, value = _ABLATED[ablation]
+    if isinstance(config.estimator, ConsistentConfig):
+        if ablation != "no-loop-closing":
+            raise ValueError(
+                f"{ablation} switches off a part of the published method: it needs the preset paper"
+            )
+        group = "merging"
+    changed = replace(getattr(config.estimator, group), **{name: value})
+    return replace(config, estimator=replace(config.estimator, **{group: changed}))

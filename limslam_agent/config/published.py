@@ -9,8 +9,15 @@ and angles are in radians.
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative
+from limslam_agent.config.gates import gate
 from limslam_agent.config.shared import HoughConfig
+from limslam_env.geometry import FloatArray
+
+_MOST_UNSEEN = 0.35
+"""A landmark may continue this far beyond its known ends, m, besides the effect of noise."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,7 @@ class AssociationConfig(Bounded):
 
     # Largest squared Mahalanobis distance. It is wider than the quantile of chi-square, because the
     # covariance of the published filter is too small.
-    gate: NonNegative = 16.0
+    gate: NonNegative = gate(2, 0.99966)
     # Largest distance along the wall between the observation and the end points of the landmark, m:
     # a little more than the gap that ends a wall in the buffer. An ablation removes this gate.
     max_end_gap: NonNegative = 0.35
@@ -50,13 +57,24 @@ class AssociationConfig(Bounded):
     # range. The larger of the two lengths applies
     min_new_share: NonNegative = 0.14
 
+    @property
+    def slack(self) -> float:
+        """How far a landmark may continue beyond its known ends by noise, and unseen, m."""
+        # Beams must meet the landmark even where the test of the ends is disabled.
+        return min(self.max_end_gap, _MOST_UNSEEN) + self.range_slack
+
+    def least_new_length(self, reach: float) -> float:
+        """Least length of a new landmark, m, for sensors that measure up to ``reach``, m."""
+        return max(self.min_new_length, self.min_new_share * reach)
+
 
 @dataclass(frozen=True)
 class LoopClosingConfig(Bounded):
     """When the two landmarks nearest to an observation are one wall."""
 
     enabled: bool = True  # False is the ablation without loop closing
-    gate: NonNegative = 12.0  # Largest squared Mahalanobis distance between the two landmarks
+    # Largest squared Mahalanobis distance between the two landmarks
+    gate: NonNegative = gate(2, 0.9975)
     # Least length of wall that both landmarks cover, m: two walls on one line with a door between
     # them have no overlap.
     min_overlap: NonNegative = 0.20
@@ -67,6 +85,13 @@ class LoopClosingConfig(Bounded):
     # Least standard deviations of the difference of two landmarks, m and rad
     floor_distance: NonNegative = 0.01
     floor_angle: Angle = math.radians(0.5)
+
+    @property
+    def floor(self) -> FloatArray:
+        """Least covariance (2, 2) of that difference: the landmarks' own would be more exact than
+        any wall is straight, if they were always seen together.
+        """
+        return np.diag([self.floor_distance**2, self.floor_angle**2])
 
 
 @dataclass(frozen=True)
@@ -101,3 +126,16 @@ class PublishedConfig:
     closing: LoopClosingConfig = LoopClosingConfig()
     map: MapConfig = MapConfig()
     filter: FilterConfig = FilterConfig()
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that decide about associations and loops, for diagnostics to show."""
+        return {
+            "gate": self.association.gate,
+            "angle": self.association.max_angle,
+            "offset": self.association.max_distance,
+            "gap": self.association.max_end_gap,
+            "loop_gate": self.closing.gate,
+            "loop_overlap": self.closing.min_overlap,
+            "loop_offset": self.closing.max_distance,
+        }

@@ -3,9 +3,9 @@ beside the code.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 from limslam_agent.config.bounds import Bounded, NonNegative
+from limslam_agent.config.consistent import WhenToCalibrate
 
 
 @dataclass(frozen=True)
@@ -14,7 +14,7 @@ class SmootherConfig(Bounded):
 
     # Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or
     # ``if_needed``
-    calibrate: Literal["always", "if_needed", "never"] = "if_needed"
+    calibrate: WhenToCalibrate = "if_needed"
 
 
 @dataclass(frozen=True)

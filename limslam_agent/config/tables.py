@@ -1,7 +1,7 @@
 """Settings as TOML tables: read with the checks of their dataclasses, and written."""
 
 import types
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -13,16 +13,21 @@ Table = Mapping[str, Any]
 
 MAX_FILE_BYTES = 1_000_000
 
-_PLAIN = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+_PLAIN = {
+    bool: "true or false",
+    int: "a whole number",
+    float: "a number",
+    str: "a text",
+    Path: "a text",
+}
 
 
 class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
-        from limslam_env.messages import (
-            one_line,
-        )  # the command line imports this module, but not the simulator
+        # The command line imports this module, but not the simulator.
+        from limslam_env.messages import one_line
 
         super().__init__(one_line(message))
 
@@ -92,11 +97,8 @@ def built(kind: type[T], table: Any, where: str) -> T:
     """
     values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
     for field in _fields(kind):
-        if (
-            field.name not in values
-            and field.default is MISSING
-            and field.default_factory is MISSING
-        ):
+        has_default = field.default is not MISSING or field.default_factory is not MISSING
+        if field.name not in values and not has_default:
             raise SettingsError(f"{_key(where, field.name)}: is missing")
     return _made(kind, values, where)
 
@@ -123,68 +125,58 @@ def _converted_table(kind: type[Any], table: Any, where: str, current: Table) ->
     }
 
 
-def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
+def _converted(hint: Any, value: Any, where: str, current: Any = None) -> Any:
     """A TOML value as the type that a hint names; ``current`` is the setting's value so far."""
+    kinds = get_args(hint)
     if is_dataclass(current):
         return updated(current, value, where)
     if is_dataclass(hint) and isinstance(hint, type):
         return built(hint, value, where)
     if get_origin(hint) in {Union, types.UnionType}:
-        return _converted_union(hint, value, where)
+        return _converted_union([kind for kind in kinds if kind is not type(None)], value, where)
     if get_origin(hint) is tuple:
-        return _converted_list(hint, value, where)
-    if get_origin(hint) is Literal:
-        if value not in (known := get_args(hint)):
-            raise SettingsError(
-                f"{where}: must be one of {', '.join(map(str, known))}, not {_described(value)}"
-            )
-        return value
-    return _converted_plain(hint, value, where)
+        return _converted_list(kinds, value, where)
+    if get_origin(hint) is Literal and value not in kinds:
+        raise _refusal(where, f"one of {', '.join(map(str, kinds))}", value)
+    return value if get_origin(hint) is Literal else _converted_plain(hint, value, where)
 
 
 def _converted_plain(hint: Any, value: Any, where: str) -> Any:
-    if hint is Path:
-        return Path(_converted_plain(str, value, where))
-    if hint is float and isinstance(value, int) and not isinstance(value, bool):
+    if hint is float and type(value) is int:
         try:
             return float(value)
         except OverflowError:
-            raise SettingsError(
-                f"{where}: is too large for a number: {_described(value)}"
-            ) from None
-    if type(value) is not hint:
-        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {_described(value)}")
-    return value
+            raise _refusal(where, "smaller", value) from None
+    if type(value) is not (str if hint is Path else hint):
+        raise _refusal(where, _PLAIN.get(hint, "a text"), value)
+    return Path(value) if hint is Path else value
 
 
-def _converted_union(hint: Any, value: Any, where: str) -> Any:
-    members = [member for member in get_args(hint) if member is not type(None)]
-    for member in members[:-1]:
+def _converted_union(kinds: Sequence[Any], value: Any, where: str) -> Any:
+    for kind in kinds[:-1]:
         try:
-            return _converted(member, value, where, None)
+            return _converted(kind, value, where)
         except SettingsError:
             continue
-    return _converted(members[-1], value, where, None)
+    return _converted(kinds[-1], value, where)
 
 
-def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
+def _converted_list(kinds: tuple[Any, ...], value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise SettingsError(f"{where}: must be a list, not {_described(value)}")
-    kinds = get_args(hint)
+        raise _refusal(where, "a list", value)
     kinds = kinds[:1] * len(value) if kinds[1:] == (Ellipsis,) else kinds
     if len(kinds) != len(value):
         raise SettingsError(f"{where}: must have {len(kinds)} values, not {len(value)}")
     return tuple(
-        _converted(kind, each, f"{where}[{number}]", None)
+        _converted(kind, each, f"{where}[{number}]")
         for number, (kind, each) in enumerate(zip(kinds, value, strict=True))
     )
 
 
-def _described(value: Any) -> str:
-    """What a value looks like, for a message."""
+def _refusal(where: str, words: str, value: Any) -> SettingsError:
     from limslam_env.messages import described
 
-    return described(value)
+    return SettingsError(f"{where}: must be {words}, not {described(value)}")
 
 
 def _key(where: str, name: str) -> str:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.inspect.columns import packed
+from limslam_agent.inspect.page import content_of
 from limslam_agent.inspect.page import page as page_of
-from limslam_agent.inspect.page import told_to_page
 from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy
@@ -106,7 +106,7 @@ class LivePage:
             )
             number, arrays, meta = self._state
         is_new = number not in {0, version}
-        return number, packed(arrays, told_to_page(self.title, meta), level=1) if is_new else ""
+        return number, packed(arrays, content_of(self.title, meta), level=1) if is_new else ""
 
 
 class Follower:
@@ -214,13 +214,15 @@ class _Handler(BaseHTTPRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 (the name of the base class)
         """Say nothing on the screen."""
 
-    def _send(self, text: str, kind: str, told: Mapping[str, str] = MappingProxyType({})) -> None:
+    def _send(
+        self, text: str, kind: str, headers: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
         content = text.encode()
         self.send_response(200)
         for name, value in {
             "Content-Type": kind,
             "Content-Length": str(len(content)),
-            **told,
+            **headers,
         }.items():
             self.send_header(name, value)
         self.send_header("Cache-Control", "no-store")

@@ -86,7 +86,7 @@ def page(title: str, recording: str = "") -> str:
     return filled(_part("page", "page.html"), parts_of_pages(_part("page", "style.css")) | own)
 
 
-def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
+def content_of(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
     """The table of a recording with the title and the texts for students."""
     lessons = {
         kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()
@@ -108,7 +108,7 @@ def write_page(
     """Write the HTML file, which appears only when it is complete. Returns its size in bytes.
     Raises an OSError if it cannot be written there.
     """
-    content = page(title, packed(arrays, told_to_page(title, meta))).encode()
+    content = page(title, packed(arrays, content_of(title, meta))).encode()
     with atomic_write(path) as beside:
         beside.write_bytes(content)
     return len(content)

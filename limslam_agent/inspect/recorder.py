@@ -322,7 +322,7 @@ class Recorder:
         """
         shape = len(self._time), len(self._mapper.poses), len(self._mapper.robot.beams)
         wall = np.zeros(shape, dtype=np.uint16)
-        given = np.zeros(shape, dtype=np.uint32)
+        steps_given = np.zeros(shape, dtype=np.uint32)
         # A live robot may have made several steps since the last one that was noted.
         noted = np.full(max(self._slam_steps, default=-1) + 2, -1)
         noted[self._slam_steps] = np.arange(len(self._slam_steps))
@@ -333,8 +333,8 @@ class Recorder:
             steps = steps[is_noted]
             beams = beams[is_noted]
             wall[steps, record.robot, beams] = record.landmark + 1
-            given[steps, record.robot, beams] = row
-        return {"owner": wall[rows][..., self._beams], "given": given[rows][..., self._beams]}
+            steps_given[steps, record.robot, beams] = row
+        return {"owner": wall[rows][..., self._beams], "given": steps_given[rows][..., self._beams]}
 
     def _nees(self, true: FloatArray) -> NDArray[np.float32]:
         """NEES / 3 of each frame and robot (f, n), given the true poses. NaN where the covariance

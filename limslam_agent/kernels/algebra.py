@@ -1,8 +1,6 @@
-"""Angles, sorting and small linear algebra for compiled functions."""
+"""Angles and small linear algebra for compiled functions."""
 
 import math
-
-import numpy as np
 
 from limslam_agent.kernels.compilation import compiled
 from limslam_env.geometry import FloatArray
@@ -15,21 +13,6 @@ def wrapped(angle: float) -> float:
         return angle
     result = math.pi - (math.pi - angle) % (2.0 * math.pi)
     return result if result > -math.pi else math.pi
-
-
-@compiled
-def sort_with(keys: FloatArray, follow: np.ndarray, size: int) -> None:
-    """Sort keys in place by stable insertion, and permute ``follow`` alike."""
-    for i in range(1, size):
-        key = keys[i]
-        other = follow[i]
-        j = i
-        while j > 0 and keys[j - 1] > key:
-            keys[j] = keys[j - 1]
-            follow[j] = follow[j - 1]
-            j -= 1
-        keys[j] = key
-        follow[j] = other
 
 
 @compiled

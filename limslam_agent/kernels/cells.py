@@ -47,8 +47,8 @@ def touched_cells(
 
     The robot is at a pose (3,), and those of its readings (b,), m, count that were ``measured``.
     ``beams`` is ``RobotSpec.beam_table``. Cells (n, 3) are row and column, counted from the world's
-    origin, and ``CROSSED`` or ``ENDED``. They may repeat, and those in which a beam ended come
-    first.
+    origin, and ``CROSSED``, ``ENDED``, or ``SKIPPED`` where a beam that saw nothing ended. They may
+    repeat, and those in which a beam ended come first.
     """
     x = pose[0]
     y = pose[1]
@@ -56,28 +56,24 @@ def touched_cells(
     sin = math.sin(pose[2])
     spacing = 0.5 * cell
     most = len(BODY)
-    for beam in range(len(ranges)):
-        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            most += math.floor(float(ranges[beam]) / spacing) + 1
+    # A reading at the minimum says that something is near, or that the sensor is dirty, but not
+    # where.
+    used = np.flatnonzero(measured & (ranges > beams[:, TOO_NEAR]))
+    for beam in used:
+        most += math.floor(float(ranges[beam]) / spacing) + 1
     cells = np.empty((most, 3), dtype=np.int64)
     size = 0
     samples = np.empty((2, most))
-    for beam in range(len(ranges)):
+    for beam in used:
         length = float(ranges[beam])
-        # A reading at the minimum says that something is near, or that the sensor is dirty, but not
-        # where.
-        if measured[beam] and beams[beam, TOO_NEAR] < length < beams[beam, TOO_FAR]:
-            px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
-            cells[size, 0] = math.floor((px * sin + py * cos + y) / cell)
-            cells[size, 1] = math.floor((px * cos - py * sin + x) / cell)
-            cells[size, 2] = ENDED
-            size += 1
-    for beam in range(len(ranges)):
-        length = float(ranges[beam])
-        if not (measured[beam] and length > beams[beam, TOO_NEAR]):
-            continue
-        number = math.floor(length / spacing)
+        px = beams[beam, FROM_X] + length * beams[beam, TOWARDS_X]
+        py = beams[beam, FROM_Y] + length * beams[beam, TOWARDS_Y]
+        cells[size, 0] = math.floor((px * sin + py * cos + y) / cell)
+        cells[size, 1] = math.floor((px * cos - py * sin + x) / cell)
+        cells[size, 2] = ENDED if length < beams[beam, TOO_FAR] else SKIPPED
+        size += 1
+    for beam in used:
+        number = math.floor(float(ranges[beam]) / spacing)
         from_x = beams[beam, FROM_X]
         from_y = beams[beam, FROM_Y]
         towards_x = beams[beam, TOWARDS_X]
@@ -133,17 +129,6 @@ def change_cells(
         values[row, column] = value or (1 if amount > 0 else -1)
 
 
-@compiled
-def include(touched: IntArray, column: int, row: int) -> None:
-    """Extend the first column and row that are touched, and those after the last ones (2, 2), to
-    one more cell.
-    """
-    touched[0, 0] = min(touched[0, 0], column)
-    touched[0, 1] = min(touched[0, 1], row)
-    touched[1, 0] = max(touched[1, 0], column + 1)
-    touched[1, 1] = max(touched[1, 1], row + 1)
-
-
 @entry
 def update_grid(
     pose: FloatArray,
@@ -162,20 +147,9 @@ def update_grid(
     """
     beams, radius = body
     cells = touched_cells(pose, ranges, measured, beams, radius, grid.size)
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
     for axis in range(2):
-        touched[0, axis] = cells[0, 1 - axis]
-        touched[1, axis] = cells[0, 1 - axis] + 1
-    for i in range(len(cells)):
-        include(touched, cells[i, 1], cells[i, 0])
-    for beam in range(len(ranges)):
-        # The cells of beams that saw nothing end a little before the beam.
-        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            px = beams[beam, FROM_X] + ranges[beam] * beams[beam, TOWARDS_X]
-            py = beams[beam, FROM_Y] + ranges[beam] * beams[beam, TOWARDS_Y]
-            column = math.floor((px * cos - py * sin + pose[0]) / grid.size)
-            include(touched, column, math.floor((px * sin + py * cos + pose[1]) / grid.size))
+        touched[0, axis] = cells[:, 1 - axis].min()
+        touched[1, axis] = cells[:, 1 - axis].max() + 1
     for axis in range(2):
         end = grid.corner[axis] + grid.values.shape[1 - axis]
         if touched[0, axis] < grid.corner[axis] or touched[1, axis] > end:

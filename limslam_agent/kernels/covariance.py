@@ -2,29 +2,35 @@
 have room.
 
 ``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the
-literature. The state has the first ``size`` places of its arrays. ``begins`` says where its parts
-begin: the end of the poses, the first line, and the first clone.
+literature.
 
-Of the symmetric P, the first ``whole`` rows, those of the poses, are kept whole. Of each other row,
-only the part from the column ``whole`` to the diagonal is kept, so that an update and a
-marginalisation touch half of the memory: P of many robots does not fit the processor's cache. What
-lies elsewhere in P is not read until :func:`mirror` has set it.
+Of the symmetric P, the rows of the poses are kept whole. Of each other row, only the part from the
+end of the poses to the diagonal is kept, so that an update and a marginalisation touch half of the
+memory: P of many robots does not fit the processor's cache. What lies elsewhere in P is not read
+until :func:`mirror` has set it.
 """
 
 import math
 
 import numpy as np
 
+from limslam_agent.kernels import tables
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, entry, lean_entry
-from limslam_agent.kernels.tables import POSE
+from limslam_agent.kernels.tables import LINES, POSE, POSES_END, Filter, Update
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+line_at = compiled(tables.line_at)
+clones_from = compiled(tables.clones_from)
+size_of = compiled(tables.size_of)
 
 
 @lean_entry
-def mirror(P: FloatArray, size: int, whole: int) -> None:
-    """Set all of P (size, size) that is not kept."""
-    for i in range(whole, size):
+def mirror(ekf: Filter) -> None:
+    """Set all of P that is not kept."""
+    P = ekf.P
+    whole = ekf.counts[POSES_END]
+    for i in range(whole, size_of(ekf.counts)):
         for j in range(whole):
             P[i, j] = P[j, i]
         for j in range(whole, i):
@@ -33,22 +39,21 @@ def mirror(P: FloatArray, size: int, whole: int) -> None:
 
 @lean_entry
 def move_pose(
-    x: FloatArray,
-    P: FloatArray,
-    size: int,
+    ekf: Filter,
     at: int,
     increment: FloatArray,
     covariance: FloatArray,
     by_pose: FloatArray,
     by_increment: FloatArray,
-    whole: int,
 ) -> None:
     """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its
-    frame, m, m, rad.
+    frame, m, m, rad, whose covariance (3, 3) is added.
 
-    The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold
-    zeros, are set to the derivatives of the new pose.
+    ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to the derivatives of the new
+    pose.
     """
+    x = ekf.x
+    P = ekf.P
     cos = math.cos(x[at + 2])
     sin = math.sin(x[at + 2])
     ahead = cos * increment[0] - sin * increment[1]
@@ -62,8 +67,10 @@ def move_pose(
     by_increment[1, 0] = sin
     by_increment[1, 1] = cos
     by_increment[2, 2] = 1.0
-    x[at], x[at + 1], x[at + 2] = x[at] + ahead, x[at + 1] + left, wrapped(x[at + 2] + increment[2])
-    for j in range(size):
+    x[at] += ahead
+    x[at + 1] += left
+    x[at + 2] = wrapped(x[at + 2] + increment[2])
+    for j in range(size_of(ekf.counts)):
         P[at, j] -= left * P[at + 2, j]
         P[at + 1, j] += ahead * P[at + 2, j]
     for i in range(POSE):
@@ -74,23 +81,25 @@ def move_pose(
             for k in range(POSE):
                 for m in range(POSE):
                     P[at + i, at + j] += by_increment[i, k] * covariance[k, m] * by_increment[j, m]
-    for j in range(whole):
+    for j in range(ekf.counts[POSES_END]):
         for i in range(POSE):
             P[j, at + i] = P[at + i, j]
 
 
 @lean_entry
-def copy_pose(
-    x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, whole: int, at: int
-) -> None:
-    """Append a copy of the pose that begins at the index ``at`` to a state of a size."""
+def copy_pose(ekf: Filter, at: int) -> None:
+    """Append a copy of the pose that begins at the index ``at`` to the state. The caller counts
+    it.
+    """
+    P = ekf.P
+    size = size_of(ekf.counts)
     for k in range(POSE):
-        x[size + k] = x[at + k]
-        for j in range(by_errors.shape[1]):
-            by_errors[size + k, j] = by_errors[at + k, j]
+        ekf.x[size + k] = ekf.x[at + k]
+        for j in range(ekf.by_errors.shape[1]):
+            ekf.by_errors[size + k, j] = ekf.by_errors[at + k, j]
         for j in range(size):
             P[size + k, j] = P[at + k, j]
-    for j in range(whole):
+    for j in range(ekf.counts[POSES_END]):
         for k in range(POSE):
             P[j, size + k] = P[size + k, j]
     for i in range(POSE):
@@ -99,20 +108,13 @@ def copy_pose(
 
 
 @lean_entry
-def keep_states(
-    x: FloatArray,
-    P: FloatArray,
-    by_errors: FloatArray,
-    whole: int,
-    is_kept: BoolArray,
-    kept: IntArray,
-) -> None:
-    """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors
-    have n rows.
+def keep_states(ekf: Filter, is_kept: BoolArray, kept: IntArray) -> None:
+    """Marginalise all states (n,) but those to keep, in place. The caller counts what is left.
 
     ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move
     together.
     """
+    P = ekf.P
     size = 0
     first = len(is_kept)
     for place in range(len(is_kept)):
@@ -127,11 +129,11 @@ def keep_states(
     for new in range(size):
         old = kept[0, new]
         if old != new:
-            x[new] = x[old]
-            for j in range(by_errors.shape[1]):
-                by_errors[new, j] = by_errors[old, j]
+            ekf.x[new] = ekf.x[old]
+            for j in range(ekf.by_errors.shape[1]):
+                ekf.by_errors[new, j] = ekf.by_errors[old, j]
         begin = first if new < first else 0
-        last = size if new < whole else new + 1
+        last = size if new < ekf.counts[POSES_END] else new + 1
         while begin < last:
             end = min(kept[1, begin], last)
             shift = kept[0, begin] - begin
@@ -155,88 +157,55 @@ def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
 
 
 @entry
-def dense_rows(P: FloatArray, size: int, whole: int, columns: IntArray) -> FloatArray:
-    """Rows (k, size) of a covariance."""
+def dense_rows(ekf: Filter, columns: IntArray) -> FloatArray:
+    """Rows (k, s) of the covariance of s states."""
+    size = size_of(ekf.counts)
+    whole = ekf.counts[POSES_END]
     rows = np.empty((len(columns), size))
     for i in range(len(columns)):
         column = columns[i]
         end = size if column < whole else column + 1
         for j in range(whole):
-            rows[i, j] = P[j, column]
+            rows[i, j] = ekf.P[j, column]
         for j in range(whole, end):
-            rows[i, j] = P[column, j]
+            rows[i, j] = ekf.P[column, j]
         for j in range(end, size):
-            rows[i, j] = P[j, column]
+            rows[i, j] = ekf.P[j, column]
     return rows
 
 
-@compiled
-def fill_transport(
-    x: FloatArray,
-    size: int,
-    begins: tuple[int, int, int],
-    anchors: FloatArray,
-    num_lines: int,
-    out: FloatArray,
-) -> None:
-    """Derivative (size, 3) of the state by the first robot's pose when robot and world move
-    together rigidly.
-
-    ``begins`` says where the poses end in the state, and where lines and clones begin. ``out`` is
-    filled.
+@entry
+def error_transport(ekf: Filter) -> FloatArray:
+    """Derivative (s, 3) of the state by the first robot's pose when robot and world move together
+    rigidly.
     """
-    poses_end, first, clones_from = begins
-    out[:size] = 0.0
-    for place in range((poses_end + size - clones_from) // POSE):
+    x = ekf.x
+    poses_end = ekf.counts[POSES_END]
+    size = size_of(ekf.counts)
+    first_clone = clones_from(ekf.counts)
+    moved = np.zeros((size, POSE))
+    for place in range((poses_end + size - first_clone) // POSE):
         # The clones do not begin at a multiple of three.
         at = POSE * place
-        row = at if at < poses_end else at - poses_end + clones_from
+        row = at if at < poses_end else at - poses_end + first_clone
         for k in range(POSE):
-            out[row + k, k] = 1.0
-        out[row, 2] = x[1] - x[row + 1]
-        out[row + 1, 2] = x[row] - x[0]
-    for number in range(num_lines):
-        row = first + 2 * number
+            moved[row + k, k] = 1.0
+        moved[row, 2] = x[1] - x[row + 1]
+        moved[row + 1, 2] = x[row] - x[0]
+    for index in range(ekf.counts[LINES]):
+        row = line_at(ekf.counts, index)
         cos = math.cos(x[row + 1])
         sin = math.sin(x[row + 1])
-        out[row, 0] = cos
-        out[row, 1] = sin
-        out[row, 2] = cos * (x[1] - anchors[number, 1]) - sin * (x[0] - anchors[number, 0])
-        out[row + 1, 2] = 1.0
-
-
-@entry
-def error_transport(
-    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int
-) -> FloatArray:
-    """What :func:`fill_transport` fills (size, 3), as Python calls it."""
-    moved = np.empty((size, POSE))
-    fill_transport(x, size, begins, anchors, num_lines, moved)
+        moved[row, 0] = cos
+        moved[row, 1] = sin
+        moved[row, 2] = cos * (x[1] - ekf.anchors[index, 1]) - sin * (x[0] - ekf.anchors[index, 0])
+        moved[row + 1, 2] = 1.0
     return moved
 
 
 @compiled
-def change_of_transport(
-    x: FloatArray,
-    size: int,
-    begins: tuple[int, int, int],
-    anchors: FloatArray,
-    num_lines: int,
-    before: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Set ``out`` (size, 3) to what ``fill_transport`` finds, less what it found ``before``."""
-    fill_transport(x, size, begins, anchors, num_lines, out)
-    for j in range(size):
-        for k in range(POSE):
-            out[j, k] -= before[j, k]
-
-
-@compiled
 def transport_pose(P: FloatArray, moved: FloatArray, out: FloatArray) -> None:
-    """The first pose's rows of P (3, size) after its error is transported by ``moved`` (size,
-    3).
-    """
+    """The first pose's rows of P (3, s) after its error is transported by ``moved`` (s, 3)."""
     for k in range(POSE):
         for j in range(len(moved)):
             out[k, j] = (
@@ -246,18 +215,13 @@ def transport_pose(P: FloatArray, moved: FloatArray, out: FloatArray) -> None:
 
 @compiled
 def transport_rows(
-    P: FloatArray,
-    rows: FloatArray,
-    columns: IntArray,
-    moved: FloatArray,
-    pose: FloatArray,
-    out: FloatArray,
+    P: FloatArray, rows: FloatArray, columns: IntArray, moved: FloatArray, out: FloatArray
 ) -> None:
-    """Some rows of P after its error is transported by ``moved``; ``pose`` has those of the first
-    pose after it.
-    """
+    """Some rows (k, s) of P after its error is transported by ``moved`` (s, 3)."""
     size = len(moved)
     across = np.empty((POSE, size))
+    pose = np.empty((POSE, size))
+    transport_pose(P, moved, pose)
     for k in range(POSE):
         for j in range(size):
             across[k, j] = moved[j, k]
@@ -313,55 +277,46 @@ def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray)
 
 
 @entry
-def correct_state(
-    x: FloatArray,
-    P: FloatArray,
-    size: int,
-    begins: tuple[int, int, int],
-    anchors: FloatArray,
-    num_lines: int,
-    moved: FloatArray,
-    W: FloatArray,
-    change: FloatArray,
-) -> FloatArray:
+def correct_state(ekf: Filter, update: Update) -> FloatArray:
     """Finish an update: transport the error of P to where W was found, subtract W^T W, and change
     the state.
 
-    Then the error is transported to the changed state. With ``moved`` M (size, 3), the first pose's
+    Then the error is transported to the changed state. With ``moved`` M (s, 3), the first pose's
     rows A of P, and their first three columns B, a transport replaces P by P + M (A + B M^T) + A^T
-    M^T. The two transports are one by the sum of both M, if W (m, size) is transported by the
-    second M. So all is one product of two matrices.
+    M^T. The two transports are one by the sum of both M, if W (m, s) is transported by the second
+    M. So all is one product of two matrices.
 
     Returns
     -------
-    moved
-        The last transport (size, 3).
+    after
+        The last transport (s, 3).
     """
-    rank = len(W)
+    W = update.W
+    rank, size = W.shape
     height = (rank + 2 * POSE + 3) // 4 * 4
     left = np.zeros((height, size))
     right = np.zeros((height, size))
-    after = np.empty((size, POSE))
-    both = np.empty((size, POSE))
-    fill_transport(x, size, begins, anchors, num_lines, both)
+    before = error_transport(ekf)
     for j in range(size):
-        x[j] += change[j]
-    change_of_transport(x, size, begins, anchors, num_lines, both, after)
+        ekf.x[j] += update.change[j]
+    after = error_transport(ekf)
+    both = np.empty((size, POSE))
     for j in range(size):
         for k in range(POSE):
-            both[j, k] = moved[j, k] + after[j, k]
+            after[j, k] -= before[j, k]
+            both[j, k] = update.moved[j, k] + after[j, k]
     for r in range(rank):
         for j in range(size):
             right[r, j] = (
                 W[r, j] + W[r, 0] * after[j, 0] + W[r, 1] * after[j, 1] + W[r, 2] * after[j, 2]
             )
             left[r, j] = -right[r, j]
-    transport_pose(P, both, right[rank : rank + POSE])
+    transport_pose(ekf.P, both, right[rank : rank + POSE])
     for k in range(POSE):
         for j in range(size):
             left[rank + k, j] = right[rank + POSE + k, j] = both[j, k]
-            left[rank + POSE + k, j] = P[k, j]
-    add_products(P, begins[0], left, right)
-    for heading in range(2, begins[0], POSE):
-        x[heading] = wrapped(x[heading])
+            left[rank + POSE + k, j] = ekf.P[k, j]
+    add_products(ekf.P, ekf.counts[POSES_END], left, right)
+    for heading in range(2, ekf.counts[POSES_END], POSE):
+        ekf.x[heading] = wrapped(ekf.x[heading])
     return after

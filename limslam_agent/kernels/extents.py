@@ -39,9 +39,10 @@ from limslam_agent.kernels.tables import (
     THROUGH_SIGMAS,
     THROUGH_SLACK,
     TOO_NEAR,
+    Filter,
     Walls,
 )
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 
 
 class Looks(NamedTuple):
@@ -173,21 +174,14 @@ def merge_walls(
 
 
 @entry
-def clear_along_beams(
-    walls: Walls,
-    x: FloatArray,
-    covariance: FloatArray,
-    counts: IntArray,
-    anchors: FloatArray,
-    at: int,
-    looks: Looks,
-) -> None:
-    """Count the places of landmarks that a robot's new beams have passed through.
-
-    The lines and the robot's pose, which begins at the index ``at``, are those of a ``Filter``.
+def clear_along_beams(walls: Walls, ekf: Filter, at: int, looks: Looks) -> None:
+    """Count the places of landmarks that a robot's new beams have passed through. Its pose begins
+    in the filter's state at the index ``at``.
     """
-    unsure = covariance[at, at] + covariance[at + 1, at + 1]
-    turned = covariance[at + 2, at + 2]
+    x = ekf.x
+    anchors = ekf.anchors
+    unsure = ekf.P[at, at] + ekf.P[at + 1, at + 1]
+    turned = ekf.P[at + 2, at + 2]
     cos = math.cos(x[at + 2])
     sin = math.sin(x[at + 2])
     count = 0
@@ -208,8 +202,8 @@ def clear_along_beams(
                 looks.std**2 + grown**2 + unsure + turned * far**2
             )
             count += 1
-    for index in range(counts[LINES]):
-        at_line = counts[LINES_FROM] + 2 * index
+    for index in range(ekf.counts[LINES]):
+        at_line = ekf.counts[LINES_FROM] + 2 * index
         line = line_about(x[at_line], x[at_line + 1], (anchors[index, 0], anchors[index, 1]))
         for number in range(count):
             ray = Ray(rays[number, 0], rays[number, 1], rays[number, 2], rays[number, 3])

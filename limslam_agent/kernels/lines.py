@@ -9,8 +9,9 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import sort_with, wrapped
+from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, entry
+from limslam_agent.kernels.tables import LineRules
 from limslam_env.geometry import FloatArray, IntArray
 
 MAX_CANDIDATES = 200
@@ -28,18 +29,19 @@ def num_angles(step: float) -> int:
 
 
 @compiled
-def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: float) -> FloatArray:
+def hough_votes(points: FloatArray, rules: LineRules) -> FloatArray:
     """Lines (k, 2) as (r, theta), m and rad, that enough points (n, 2), m, vote for, best first.
 
-    Bins have a size of ``r_step``, m, by ``theta_step``, rad; r may be negative, and theta is in
-    [0, pi). Points that would need more than ``MOST_BINS`` are too far apart for a line.
+    r may be negative, and theta is in [0, pi). Points that would need more than ``MOST_BINS`` are
+    too far apart for a line.
     """
     single = np.float32
-    step = r_step
+    step = rules.r_step
+    min_votes = rules.min_votes
     reach = 0.0
     for i in range(len(points)):
         reach = max(reach, math.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1]))
-    angles = num_angles(theta_step)
+    angles = num_angles(rules.theta_step)
     low = -reach - step
     # A comparison with NaN is false.
     if not (angles + 2) * ((reach + step - low + 1.0) / step + 2.0) < MOST_BINS:
@@ -48,8 +50,7 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
     lowest = single(low) * inverse
     wide = int(np.rint((reach + step - low + 1.0) / step)) + 2
     counts = np.zeros((angles + 2) * wide, dtype=np.int32)
-    most = len(points) * angles // max(min_votes, 1)
-    found = np.empty(most, dtype=np.int64)
+    found = np.empty(len(points) * angles // max(min_votes, 1), dtype=np.int64)
     size = 0
     angle = single(0.0)
     xs = points[:, 0].astype(single)
@@ -68,44 +69,26 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
             if counts[place] == min_votes:
                 found[size] = place
                 size += 1
-        angle += single(theta_step)
-    return peaks(counts, wide, found[:size], single(low), r_step, theta_step)
+        angle += single(rules.theta_step)
+    places_found = peaks(counts, wide, found[:size])
+    lines = np.empty((len(places_found), 2))
+    for i in range(len(places_found)):
+        n = places_found[i] // wide - 1
+        r = places_found[i] - (n + 1) * wide - 1
+        lines[i, 0] = float(single(low) + single(r) * single(step))
+        lines[i, 1] = float(single(0.0) + single(n) * single(rules.theta_step))
+    return lines
 
 
 @compiled
-def peaks(
-    counts: np.ndarray,
-    wide: int,
-    found: IntArray,
-    low: np.float32,
-    r_step: float,
-    theta_step: float,
-) -> FloatArray:
-    """Lines (k, 2) of those bins that have more votes than their neighbours."""
-    keys = np.empty(len(found))
-    places = np.empty(len(found), dtype=np.int64)
-    size = 0
-    for place in found:
-        votes_here = counts[place]
-        if (
-            votes_here > counts[place - 1]
-            and votes_here >= counts[place + 1]
-            and votes_here > counts[place - wide]
-            and votes_here >= counts[place + wide]
-        ):
-            # Most votes first; of equal votes, the first bin.
-            keys[size] = place - float(votes_here) * 2.0**32
-            places[size] = place
-            size += 1
-    sort_with(keys, places, size)
-    size = min(size, MAX_CANDIDATES)
-    lines = np.empty((size, 2))
-    for i in range(size):
-        n = places[i] // wide - 1
-        r = places[i] - (n + 1) * wide - 1
-        lines[i, 0] = float(low + np.float32(r) * np.float32(r_step))
-        lines[i, 1] = float(np.float32(0.0) + np.float32(n) * np.float32(theta_step))
-    return lines
+def peaks(counts: np.ndarray, wide: int, found: IntArray) -> IntArray:
+    """Those bins (k,) of ``found`` that have more votes than their neighbours, best first."""
+    votes = counts[found]
+    is_peak = (votes > counts[found - 1]) & (votes >= counts[found + 1])
+    is_peak &= (votes > counts[found - wide]) & (votes >= counts[found + wide])
+    # Most votes first; of equal votes, the first bin.
+    keys = found[is_peak] - votes[is_peak].astype(np.float64) * 2.0**32
+    return found[is_peak][np.argsort(keys)[:MAX_CANDIDATES]]
 
 
 @entry
@@ -153,138 +136,39 @@ def near_line(
     points: FloatArray, free: np.ndarray, r: float, theta: float, most: float
 ) -> IntArray:
     """Indices (n,) of the free points within ``most``, m, of a line."""
-    chosen = np.empty(len(points), dtype=np.int64)
-    size = 0
-    cos = math.cos(theta)
-    sin = math.sin(theta)
-    for i in range(len(points)):
-        if free[i] and abs(points[i, 0] * cos + points[i, 1] * sin - r) <= most:
-            chosen[size] = i
-            size += 1
-    return chosen[:size]
+    off = points[:, 0] * math.cos(theta) + points[:, 1] * math.sin(theta) - r
+    return np.flatnonzero(free & (np.abs(off) <= most))
 
 
 @compiled
 def refined(
-    points: FloatArray,
-    free: np.ndarray,
-    r: float,
-    theta: float,
-    limits: tuple[float, float],
-    votes: int,
+    points: FloatArray, free: np.ndarray, r: float, theta: float, rules: LineRules
 ) -> tuple[IntArray, FloatArray]:
     """Indices (n,) of a candidate line's points after two refinements, and their positions along
     it, m, sorted.
 
-    Points belong to it within the first of the ``limits``, m, and then within the second one.
+    Points belong to it within a bin of it, and then within ``near_line``.
     """
     ends = np.empty((2, 2))
-    for tolerance in limits:
+    for tolerance in (rules.r_step, rules.near_line):
         members = near_line(points, free, r, theta, tolerance)
-        if len(members) < votes:
+        if len(members) < rules.min_votes:
             return members[:0], np.empty(0)
         r, theta = fit_line(points, members, ends)
-    members = near_line(points, free, r, theta, limits[1])
-    cos = math.cos(theta)
-    sin = math.sin(theta)
-    along = np.empty(len(members))
-    for i in range(len(members)):
-        along[i] = -sin * points[members[i], 0] + cos * points[members[i], 1]
-    sort_with(along, members, len(members))
-    return members, along
-
-
-@compiled
-def refine_lines(
-    points: FloatArray,
-    candidates: FloatArray,
-    limits: tuple[float, float],
-    votes: int,
-    gap: float,
-    least: float,
-    only_best: bool,
-    owner: IntArray,
-    lines: FloatArray,
-    ends: FloatArray,
-) -> int:
-    """Refine candidate lines on their points, and cut them at gaps; the number k of lines.
-
-    The candidates are (r, theta) about the mean of the points (n, 2), best first. ``limits`` and
-    ``votes`` are those of
-    :func:`refined`, ``gap`` is the longest gap in a line, and ``least`` its least length, m. Set
-    are the ``owner`` of each point (n,), -1 for none, the ``lines`` (k, 2) as (r, theta), and their
-    ``ends`` (k, 2, 2), m.
-    """
-    total = len(points)
-    size = 0
-    middle_x = 0.0
-    middle_y = 0.0
-    for i in range(total):
-        owner[i] = -1
-        middle_x += points[i, 0]
-        middle_y += points[i, 1]
-    if total < votes:
-        return 0
-    middle_x = middle_x / total
-    middle_y = middle_y / total
-    free = np.ones(total, dtype=np.bool_)
-    left = total
-    for number in range(len(candidates)):
-        theta = candidates[number, 1]
-        r = candidates[number, 0] + middle_x * math.cos(theta) + middle_y * math.sin(theta)
-        members, along = refined(points, free, r, theta, limits, votes)
-        first = 0
-        before = size
-        for i in range(1, len(members) + 1):
-            if i < len(members) and along[i] - along[i - 1] <= gap:
-                continue
-            part = members[first:i]
-            first = i
-            if len(part) < votes:
-                continue
-            r_part, theta_part = fit_line(points, part, ends[size])
-            x = ends[size, 1, 0] - ends[size, 0, 0]
-            y = ends[size, 1, 1] - ends[size, 0, 1]
-            if math.sqrt(x * x + y * y) >= least:
-                lines[size, 0] = r_part
-                lines[size, 1] = theta_part
-                for each in part:
-                    owner[each] = size
-                    free[each] = False
-                left -= len(part)
-                size += 1
-        if (only_best and size > before) or left < votes:
-            break
-    return size
+    members = near_line(points, free, r, theta, rules.near_line)
+    along = points[members, 1] * math.cos(theta) - points[members, 0] * math.sin(theta)
+    order = np.argsort(along, kind="mergesort")
+    return members[order], along[order]
 
 
 @entry
-def extract_lines(
-    points: FloatArray,
-    max_gap: float,
-    min_votes: int,
-    r_step: float,
-    theta_step: float,
-    near_line: float,
-    least: float,
-    only_best: bool,
-) -> tuple[IntArray, FloatArray, FloatArray]:
+def extract_lines(points: FloatArray, rules: LineRules) -> tuple[IntArray, FloatArray, FloatArray]:
     """The lines in a buffer of points (n, 2), m, best first, cut at gaps.
 
     Each point belongs to at most one line. The points of a line are removed, and the remaining
     points of a weaker candidate must still pass the threshold. So one wall cannot appear twice,
     neither in neighbouring bins nor across theta = 0, where (r, theta) and (-r, theta + pi) are the
     same line.
-
-    Parameters
-    ----------
-    max_gap, near_line, least
-        Longest gap in a line, largest distance of a point from its line, and least length of a
-        line, m.
-    min_votes, r_step, theta_step
-        Threshold, and sizes of the bins, m and rad.
-    only_best
-        Whether to stop after the first candidate that has lines.
 
     Returns
     -------
@@ -293,19 +177,44 @@ def extract_lines(
         points (k, 2, 2), m.
     """
     total = len(points)
-    about = points.copy()
-    owner = np.full(len(points), -1)
-    most = total // max(min_votes, 1) + 1
+    votes = rules.min_votes
+    owner = np.full(total, -1)
+    most = total // max(votes, 1) + 1
     lines = np.empty((most, 2))
     ends = np.empty((most, 2, 2))
-    if total < min_votes:
+    size = 0
+    if total < votes:
         return owner, lines[:0], ends[:0]
     # Votes are counted about the points' centre, where r and theta are nearly independent.
-    about[:, 0] -= points[:, 0].sum() / total
-    about[:, 1] -= points[:, 1].sum() / total
-    candidates = hough_votes(about, min_votes, r_step, theta_step)
-    limits = r_step, near_line
-    number = refine_lines(
-        points, candidates, limits, min_votes, max_gap, least, only_best, owner, lines, ends
-    )
-    return owner, lines[:number], ends[:number]
+    middle_x = points[:, 0].sum() / total
+    middle_y = points[:, 1].sum() / total
+    about = points.copy()
+    about[:, 0] -= middle_x
+    about[:, 1] -= middle_y
+    candidates = hough_votes(about, rules)
+    free = np.ones(total, dtype=np.bool_)
+    for number in range(len(candidates)):
+        theta = candidates[number, 1]
+        r = candidates[number, 0] + middle_x * math.cos(theta) + middle_y * math.sin(theta)
+        members, along = refined(points, free, r, theta, rules)
+        first = 0
+        before = size
+        for i in range(1, len(members) + 1):
+            if i < len(members) and along[i] - along[i - 1] <= rules.max_gap:
+                continue
+            part = members[first:i]
+            first = i
+            if len(part) < votes:
+                continue
+            r_part, theta_part = fit_line(points, part, ends[size])
+            x = ends[size, 1, 0] - ends[size, 0, 0]
+            y = ends[size, 1, 1] - ends[size, 0, 1]
+            if math.sqrt(x * x + y * y) >= rules.least:
+                lines[size, 0] = r_part
+                lines[size, 1] = theta_part
+                owner[part] = size
+                free[part] = False
+                size += 1
+        if (rules.only_best and size > before) or free.sum() < votes:
+            break
+    return owner, lines[:size], ends[:size]

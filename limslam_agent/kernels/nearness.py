@@ -148,44 +148,48 @@ def room_ahead(
 
 
 @lean_entry
-def beams_on_robot(
-    pose: FloatArray,
-    other: FloatArray,
+def beams_on_robots(
+    poses: FloatArray,
+    covariance: FloatArray,
+    number: int,
     ranges: FloatArray,
     beams: FloatArray,
-    sensor: tuple[float, float, float],
-    covariance: FloatArray,
-    at: int,
-    other_at: int,
-    margins: tuple[float, float, float],
+    sizes: tuple[float, float, float, float, float, float],
     found: BoolArray,
 ) -> None:
-    """Mark the beams (b,) of a robot at a pose (3,) that may end on the body of another robot at a
-    pose (3,).
+    """Mark the beams (b,) of a robot that may end on the body of another one.
 
-    ``sensor`` is ``RangeSensor.numbers``, and ``beams`` is ``RobotSpec.beam_table``. The two poses
-    begin in the joint ``covariance`` at ``at`` and ``other_at``. The margins are the radius of the
-    body, m, a number of standard deviations, and a slack, m.
+    The poses (n, 3) have a joint ``covariance`` (3 n, 3 n), and ``beams`` is
+    ``RobotSpec.beam_table``. The sizes are ``RangeSensor.numbers``, the radius of the body, m, a
+    number of standard deviations, and a slack, m.
     """
-    cos, sin, (radius, sigmas, slack) = math.cos(pose[2]), math.sin(pose[2]), margins
-    for beam in range(len(ranges)):
-        reached = ranges[beam]
-        x, y = beam_end(pose, cos, sin, beams, beam, reached)
-        distance = math.sqrt((x - other[0]) ** 2 + (y - other[1]) ** 2)
-        toward_x = (x - other[0]) / max(distance, 1e-9)
-        toward_y = (y - other[1]) / max(distance, 1e-9)
-        # Derivative of the distance by the measuring robot's x, y and theta, and by the other's x
-        # and y.
-        turning = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x
-        variance = 0.0
-        by = (toward_x, toward_y, turning, -toward_x, -toward_y)
-        for i in range(5):
-            for j in range(5):
-                row = at + i if i < 3 else other_at + i - 3
-                column = at + j if j < 3 else other_at + j - 3
-                variance += by[i] * covariance[row, column] * by[j]
-        noise = sensor[0] ** 2 + (sensor[1] * reached**2) ** 2
-        margin = sigmas * math.sqrt(max(variance, 0.0) + noise) + slack
-        # The nearest point inside a wide beam may be anywhere between its borders.
-        if distance <= radius + margin + sensor[2] * reached:
-            found[beam] = True
+    std, growth, cone, radius, sigmas, slack = sizes
+    pose = poses[number]
+    cos = math.cos(pose[2])
+    sin = math.sin(pose[2])
+    for other in range(len(poses)):
+        if other == number:
+            continue
+        for beam in range(len(ranges)):
+            reached = ranges[beam]
+            x, y = beam_end(pose, cos, sin, beams, beam, reached)
+            off_x = x - poses[other, 0]
+            off_y = y - poses[other, 1]
+            distance = math.sqrt(off_x**2 + off_y**2)
+            toward_x = off_x / max(distance, 1e-9)
+            toward_y = off_y / max(distance, 1e-9)
+            # Derivative of the distance by the measuring robot's x, y and theta, and by the other's
+            # x and y.
+            turning = (x - pose[0]) * toward_y - (y - pose[1]) * toward_x
+            by = (toward_x, toward_y, turning, -toward_x, -toward_y)
+            variance = 0.0
+            for i in range(5):
+                for j in range(5):
+                    row = 3 * number + i if i < 3 else 3 * other + i - 3
+                    column = 3 * number + j if j < 3 else 3 * other + j - 3
+                    variance += by[i] * covariance[row, column] * by[j]
+            noise = std**2 + (growth * reached**2) ** 2
+            margin = sigmas * math.sqrt(max(variance, 0.0) + noise) + slack
+            # The nearest point inside a wide beam may be anywhere between its borders.
+            if distance <= radius + margin + cone * reached:
+                found[beam] = True

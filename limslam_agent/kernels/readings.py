@@ -55,10 +55,7 @@ _LIMITS = -1.5, 4.5  # of a single reading
 @lean_entry
 def sort_readings(
     values: FloatArray,
-    lowest: FloatArray,
-    highest: FloatArray,
-    too_near: FloatArray,
-    too_far: FloatArray,
+    limits: FloatArray,
     moved: float,
     repeats: FloatArray,
     readings: FloatArray,
@@ -68,22 +65,22 @@ def sort_readings(
     """Turn what a sensor reports into readings; the number of values that are no readings.
 
     The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it.
-    ``measured`` (b,) holds the beams that take a new measurement in this step, of which those
-    without a reading are removed, and those that repeat one, as the table of ``repeats`` (b, 13)
-    says, in which the step is noted; the robot has ``moved``, m, in it. ``hits`` is set to those
-    that show a wall.
+    The ``limits`` (4, b), m, are the shortest and the longest reading of each beam, and those up to
+    which something is near and from which on nothing is seen. ``measured`` (b,) holds the beams
+    that take a new measurement in this step, of which those without a reading are removed, and
+    those that repeat one, as the table of ``repeats`` (b, 13) says, in which the step is noted; the
+    robot has ``moved``, m, in it. ``hits`` is set to those that show a wall.
     """
     refused = 0
     for beam in range(len(values)):
         value = values[beam]
         is_reading = value >= 0.0
-        readings[beam] = min(max(value, lowest[beam]), highest[beam]) if is_reading else math.nan
+        reading = min(max(value, limits[0, beam]), limits[1, beam]) if is_reading else math.nan
+        readings[beam] = reading
         refused += not is_reading
-        is_wall = too_near[beam] < readings[beam] < too_far[beam]
+        is_wall = limits[2, beam] < reading < limits[3, beam]
         is_due = measured[beam]
-        measured[beam] = (
-            is_new(repeats, beam, readings[beam], is_wall, moved, is_due) and is_reading
-        )
+        measured[beam] = is_new(repeats, beam, reading, is_wall, moved, is_due) and is_reading
         hits[beam] = measured[beam] and is_wall
     return refused
 

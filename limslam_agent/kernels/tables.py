@@ -1,7 +1,7 @@
 """Constants and arrays that plain and compiled functions share. This module does not load numba."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +67,9 @@ finite range.
 FEWEST_TO_COMPARE = 4
 """Least number of readings that are compared with a line."""
 
-THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, BENT, BEND_AT = range(7)
+THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD = range(5)
 """Columns of a segment: the wall's direction, its middle, its length and the direction's standard
-deviation; then what splits it: whether it is bent, and where.
+deviation.
 """
 
 FEWEST = 6
@@ -203,13 +203,15 @@ class Cells(NamedTuple):
 
 
 class Filter(NamedTuple):
-    """A state of poses, lines and clones, in this order. For the n filters of a batch, each array
-    has one more axis.
+    """A state of poses, lines and clones, in this order, in arrays that have room.
+
+    Between the poses and the lines stand the constant errors of the odometry, once they are
+    estimated. For the n filters of a batch, each array has one more axis.
 
     Attributes
     ----------
     x, P
-        State (s,) and covariance (s, s).
+        State (s,) and covariance (s, s), of which ``kernels.covariance`` says what is kept.
     by_errors
         Derivative (s, k) of the state by the constant errors that it takes to be zero; k is 0 in a
         batch.
@@ -217,8 +219,6 @@ class Filter(NamedTuple):
         Of the lines (l, 2), m, and the numbers of the clones (c,), in order.
     counts
         (5 or more,), whose places are named above.
-    errors
-        What is known of the constant errors: see ``separate_bias``; 0 in a batch.
     bend
         Standard deviation of the curvature of walls, 1/m; 0 where they are straight.
     """
@@ -229,5 +229,95 @@ class Filter(NamedTuple):
     anchors: FloatArray
     clones: IntArray
     counts: IntArray
-    errors: Any = 0
     bend: float = 0.0
+
+
+# These functions take the counts only: compiled code counts references to each array that it hands
+# on.
+
+
+def line_at(counts: IntArray, index: int) -> int:
+    """Index in the state at which a line begins."""
+    return int(counts[LINES_FROM] + 2 * index)
+
+
+def clones_from(counts: IntArray) -> int:
+    """Index in the state at which the clones begin."""
+    return int(counts[LINES_FROM] + 2 * counts[LINES])
+
+
+def size_of(counts: IntArray) -> int:
+    """Length of the state."""
+    return int(counts[LINES_FROM] + 2 * counts[LINES] + POSE * counts[CLONES])
+
+
+class Readings(NamedTuple):
+    """Ranges, each of which was read from the pose of a clone.
+
+    Attributes
+    ----------
+    places
+        Places (n,) of the clones in the state.
+    rows
+        (n, 6): origin x, y of the beam in the robot's frame, m, its direction, rad, its range, m,
+        half its opening angle, rad, and the number of the beam.
+    variances
+        Of the ranges (n,), m^2.
+    """
+
+    places: IntArray
+    rows: FloatArray
+    variances: FloatArray
+
+
+def select(readings: Readings, chosen: IntArray) -> Readings:
+    """Some of the readings."""
+    return Readings(readings.places[chosen], readings.rows[chosen], readings.variances[chosen])
+
+
+class Update(NamedTuple):
+    """An update of a filter of s states by m measurements, which depend on k of these states.
+
+    Attributes
+    ----------
+    columns, H
+        These states (k,), and the derivative (m, k) of the measurements by them.
+    innovation, factor, W
+        The innovation (m,), the Cholesky factor L (m, m) of its covariance S, and L^-1 H P (m, s).
+    moved
+        By what the transport of the error to the state at which H was found exceeds that to the
+        filter's state (s, 3).
+    change
+        What is still to be added to the state (s,).
+    """
+
+    columns: IntArray
+    H: FloatArray
+    innovation: FloatArray
+    factor: FloatArray
+    W: FloatArray
+    moved: FloatArray
+    change: FloatArray
+
+
+class LineRules(NamedTuple):
+    """Which lines the Hough transform finds in points.
+
+    Attributes
+    ----------
+    max_gap, near_line, least
+        Longest gap in a line, largest distance of a point from its line, and least length of a
+        line, m.
+    min_votes, r_step, theta_step
+        Threshold, and sizes of the bins, m and rad.
+    only_best
+        Whether to stop after the first candidate that has lines.
+    """
+
+    max_gap: float
+    near_line: float
+    least: float
+    min_votes: int
+    r_step: float
+    theta_step: float
+    only_best: bool

@@ -1,82 +1,81 @@
 """Updates of the filter of poses, lines and clones by readings of one line, and how badly readings
 fit a line.
 
-The state and its covariance are those of :mod:`~limslam_agent.kernels.covariance`. Readings and
-``places`` are those of
-:mod:`~limslam_agent.kernels.beams`. Rows of H are stored without zeros, as ``predict_ranges``
-fills them.
+The filter is that of :mod:`~limslam_agent.kernels.covariance`. Rows of H are stored without zeros,
+as ``predict_ranges`` fills them.
 """
 
 import math
 
 import numpy as np
 
+from limslam_agent.kernels import tables
 from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
 from limslam_agent.kernels.beams import line_about, predict_ranges
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.covariance import (
-    change_of_transport,
+    clones_from,
     dense_block,
     dense_rows,
-    fill_transport,
-    transport_pose,
+    error_transport,
+    line_at,
+    size_of,
     transport_rows,
 )
-from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_DIVISOR, POSE
+from limslam_agent.kernels.tables import (
+    CLONES,
+    FEWEST_TO_COMPARE,
+    GRAZING,
+    LEAST_DIVISOR,
+    POSE,
+    Filter,
+    Readings,
+    Update,
+)
 from limslam_env.geometry import FloatArray, IntArray
 
+select = compiled(tables.select)
+
 
 @compiled
-def clear_readings(
-    x: FloatArray,
-    start: int,
-    places: IntArray,
-    readings: FloatArray,
-    line: int,
-    anchor: tuple[float, float],
-) -> IntArray:
-    """Indices of the readings that meet a line ahead of the beam and do not graze it.
-
-    The line begins in the state at the index ``line``, and has an ``anchor``, m.
-    """
-    chosen = np.arange(len(places))
-    size = 0
-    out = np.empty((len(places), 7))
+def expected_of(ekf: Filter, readings: Readings, index: int) -> FloatArray:
+    """What ``predict_ranges`` fills (n, 7) for readings of a line of the filter."""
+    at = line_at(ekf.counts, index)
+    out = np.empty((len(readings.places), 7))
     predict_ranges(
-        x, start, places, readings, chosen, line_about(x[line], x[line + 1], anchor), out
+        ekf.x,
+        clones_from(ekf.counts),
+        readings.places,
+        readings.rows,
+        np.arange(len(readings.places)),
+        line_about(ekf.x[at], ekf.x[at + 1], (ekf.anchors[index, 0], ekf.anchors[index, 1])),
+        out,
     )
-    for i in range(len(places)):
-        if abs(out[i, 6]) > GRAZING and out[i, 0] > 0.0:
-            chosen[size] = i
-            size += 1
-    return chosen[:size]
+    return out
 
 
 @compiled
-def gathered(values: np.ndarray, chosen: IntArray) -> np.ndarray:
-    """Some of the values."""
-    found = np.empty(len(chosen), dtype=values.dtype)
-    for i in range(len(chosen)):
-        found[i] = values[chosen[i]]
-    return found
+def clear_readings(ekf: Filter, readings: Readings, index: int) -> Readings:
+    """The readings that meet a line ahead of the beam and do not graze it."""
+    out = expected_of(ekf, readings, index)
+    return select(readings, np.flatnonzero((np.abs(out[:, 6]) > GRAZING) & (out[:, 0] > 0.0)))
 
 
 @compiled
-def involved(
-    places: IntArray, chosen: IntArray, num_clones: int, start: int, line: int
-) -> tuple[IntArray, IntArray]:
+def involved(ekf: Filter, places: IntArray, line: int) -> tuple[IntArray, IntArray]:
     """Indices in the state of all that readings depend on, and where each reading's clone begins
     among them (n,).
 
     The clones come first, then the line that begins at the index ``line``; no line if that is
     negative.
     """
-    columns = np.empty(POSE * len(chosen) + 2, dtype=np.int64)
+    start = clones_from(ekf.counts)
+    columns = np.empty(POSE * len(places) + 2, dtype=np.int64)
     size = 0
-    begins = np.empty(len(chosen), dtype=np.int64)
-    column_of = np.full(num_clones, -1, dtype=np.int64)
-    for i in range(len(chosen)):
-        place = places[chosen[i]]
+    begins = np.empty(len(places), dtype=np.int64)
+    column_of = np.full(ekf.counts[CLONES], -1)
+    for i in range(len(places)):
+        place = places[i]
         if column_of[place] < 0:
             column_of[place] = size
             for k in range(POSE):
@@ -156,34 +155,23 @@ def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
 
 
 @entry
-def compare_readings(
-    x: FloatArray,
-    P: FloatArray,
-    start: int,
-    places: IntArray,
-    readings: FloatArray,
-    line: int,
-    anchor: tuple[float, float],
-    variances: FloatArray,
-) -> float:
-    """How badly readings fit the line that begins in the state at the index ``line``, as a
-    chi-square.
+def compare_readings(ekf: Filter, readings: Readings, index: int) -> float:
+    """How badly readings fit a line, as a chi-square.
 
     This is the generalised likelihood ratio of the hypotheses "the readings show this line" and
     "they show another line", both with the joint uncertainty of poses and line (two degrees of
     freedom). It is infinite if too few readings meet the line.
     """
-    chosen = clear_readings(x, start, places, readings, line, anchor)
-    count = len(chosen)
+    clear = clear_readings(ekf, readings, index)
+    count = len(clear.places)
     if count < FEWEST_TO_COMPARE:
         return math.inf
-    columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
-    H = np.empty((count, 7))
+    columns, begins = involved(ekf, clear.places, line_at(ekf.counts, index))
+    H = expected_of(ekf, clear, index)
     values = np.empty((count, 3))
-    predict_ranges(x, start, places, readings, chosen, line_about(x[line], x[line + 1], anchor), H)
-    S = covariance_of(dense_block(P, columns), begins, H, gathered(variances, chosen))
+    S = covariance_of(dense_block(ekf.P, columns), begins, H, clear.variances)
     for i in range(count):
-        values[i, 0] = readings[chosen[i], 3] - H[i, 0]
+        values[i, 0] = clear.rows[i, 3] - H[i, 0]
         values[i, 1] = H[i, 4]
         values[i, 2] = H[i, 5]
     factorise(S, count)
@@ -197,22 +185,19 @@ def compare_readings(
 
 
 @compiled
-def set_gained(
-    rows: FloatArray,
-    columns: IntArray,
-    begins: IntArray,
-    H: FloatArray,
-    variances: FloatArray,
-    bend: float,
-    HP: FloatArray,
-    S: FloatArray,
-) -> None:
-    """Set H P (m, size) from those rows of P for which H is not zero, and the lower triangle of S =
-    H P H^T + R. What all readings share by a curvature of their wall is a part of R.
+def gained(
+    rows: FloatArray, columns: IntArray, begins: IntArray, H: FloatArray, bend: float
+) -> tuple[FloatArray, FloatArray]:
+    """H P (m, s), from those rows of P for which H is not zero, and the lower triangle of H P H^T.
+
+    What all readings share by a curvature of their wall is added to the latter.
     """
+    count = len(begins)
+    HP = np.empty((count, rows.shape[1]))
+    S = np.empty((count, count))
     line = len(rows) - 2
     bent = 0.5 * bend * H[:, 5] ** 2 / H[:, 4]
-    for i in range(len(begins)):
+    for i in range(count):
         at = begins[i]
         a = H[i, 1]
         b = H[i, 2]
@@ -238,83 +223,57 @@ def set_gained(
                 + HP[i, to + 1] * H[m, 5]
                 + bent[i] * bent[m]
             )
-        S[i, i] += variances[i]
+    return HP, S
 
 
-@compiled
-def iterate(
-    x: FloatArray,
-    P: FloatArray,
-    size: int,
-    begins_of: tuple[int, int, int],
-    anchors: FloatArray,
-    num_lines: int,
-    columns: IntArray,
-    begins: IntArray,
-    places: IntArray,
-    readings: FloatArray,
-    chosen: IntArray,
-    index: int,
-    variances: FloatArray,
-    iterations: int,
-    huber: float,
-    bend: float,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+@entry
+def update_by_readings(
+    ekf: Filter, readings: Readings, index: int, iterations: int, huber: float
+) -> tuple[Update, Readings, FloatArray]:
     """Iterate an update by readings of one line, with Huber weights, linearised anew at each
     iteration.
 
-    ``columns`` and ``begins`` are those of :func:`involved`, ``chosen`` (m,) are the readings that
-    are used, with ``variances`` (m,), m^2, and ``huber`` limits the weights. The curvature of the
-    wall has the standard deviation ``bend``, 1/m. x is moved to where the last iteration
-    linearises.
+    The filter's state is moved to where the last iteration linearises, for ``correct_state`` to
+    finish the update. ``huber`` limits the weights.
 
     Returns
     -------
-    moved
-        The change of the error transport (size, 3) until the last iteration. P is transported by
-        it.
-    H, factor, W, innovation
-        H (m, 7) of the last iteration, the Cholesky factor L of S, L^-1 H P (m, size), and the
-        innovation (m,).
-    change
-        What is still to be added to the state (size,).
+    update, used, expected
+        The update, the m readings that meet the line, and what ``predict_ranges`` has filled (m, 7)
+        for them at last. If m is 0, there is nothing to update.
     """
-    count = len(chosen)
-    first = begins_of[1] + 2 * index
-    start = begins_of[2]
-    anchor = (anchors[index, 0], anchors[index, 1])
+    x = ekf.x
+    size = size_of(ekf.counts)
+    used = clear_readings(ekf, readings, index)
+    count = len(used.places)
+    columns, begins = involved(ekf, used.places, line_at(ekf.counts, index))
     before = x[:size].copy()
+    at_first = error_transport(ekf)
     moved = np.zeros((size, POSE))
-    at_first = np.empty((size, POSE))
-    pose = np.empty((POSE, size))
-    fill_transport(x, size, begins_of, anchors, num_lines, at_first)
-    rows = dense_rows(P, size, begins_of[0], columns)
+    rows = dense_rows(ekf, columns)
+    shifted = rows
     H = np.empty((count, 7))
     HP = np.empty((count, size))
-    shifted = rows
-    further = np.empty(rows.shape)
-    change = np.zeros(size)
-    scaled = variances.copy()
     S = np.empty((count, count))
+    change = np.zeros(size)
+    scaled = used.variances.copy()
     off = np.empty(count)
-    solution = np.empty(count)
-    for iteration in range(iterations):
+    for iteration in range(iterations if count else 0):
         if iteration:
-            shifted = further
+            shifted = np.empty(rows.shape)
             for j in range(size):
                 x[j] += change[j]
-            change_of_transport(x, size, begins_of, anchors, num_lines, at_first, moved)
-            transport_pose(P, moved, pose)
-            transport_rows(P, rows, columns, moved, pose, shifted)
-        predict_ranges(
-            x, start, places, readings, chosen, line_about(x[first], x[first + 1], anchor), H
-        )
-        set_gained(shifted, columns, begins, H, scaled, bend, HP, S)
+            moved = error_transport(ekf) - at_first
+            transport_rows(ekf.P, rows, columns, moved, shifted)
+        H = expected_of(ekf, used, index)
+        HP, S = gained(shifted, columns, begins, H, ekf.bend)
         for i in range(count):
-            residual = readings[chosen[i], 3] - H[i, 0]
-            off[i] = solution[i] = residual + since(x, before, columns, begins[i], H[i])
-            scaled[i] = variances[i] / huber_weight(residual, variances[i], huber)
+            S[i, i] += scaled[i]
+            residual = used.rows[i, 3] - H[i, 0]
+            off[i] = residual + since(x, before, columns, begins[i], H[i])
+            scaled[i] = used.variances[i] / huber_weight(residual, used.variances[i], huber)
         factorise(S, count)
+        solution = off.copy()
         solve_factored(S, solution, count)
         for j in range(size):
             change[j] = before[j] - x[j]
@@ -322,64 +281,32 @@ def iterate(
             for j in range(size):
                 change[j] += solution[i] * HP[i, j]
     whiten(S, HP, count, size)
-    return moved, H, S, HP, off, change
+    dense = with_zeros(H, begins, len(columns))
+    return Update(columns, dense, off, S, HP, moved, change), used, H
 
 
 @entry
-def update_by_readings(
-    x: FloatArray,
-    P: FloatArray,
-    size: int,
-    begins_of: tuple[int, int, int],
-    anchors: FloatArray,
-    num_lines: int,
-    index: int,
-    places: IntArray,
-    readings: FloatArray,
-    variances: FloatArray,
-    iterations: int,
-    huber: float,
-    bend: float,
-) -> tuple[
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    IntArray,
-    FloatArray,
-    FloatArray,
-    FloatArray,
-    IntArray,
-]:
-    """Find an update by readings of one line, for ``correct_state`` to finish; there is none if
-    none meets the line.
+def linear_update(
+    ekf: Filter,
+    columns: IntArray,
+    H: FloatArray,
+    innovation: FloatArray,
+    noise: FloatArray,
+    moved: FloatArray,
+) -> Update:
+    """An update by m measurements with the derivative H (m, k) by some states (k,), an innovation
+    (m,) and the covariance ``noise`` (m, m), for ``correct_state`` to finish.
 
-    Returned are ``moved`` and ``change`` of :func:`iterate`, what ``predict_ranges`` fills (m, 7),
-    H (m, k) for states (k,) and these states, factor, W and innovation of :func:`iterate`, and the
-    indices (m,) of the readings that are used.
+    ``moved`` is that of the update.
     """
-    line = begins_of[1] + 2 * index
-    start = begins_of[2]
-    chosen = clear_readings(
-        x, start, places, readings, line, (anchors[index, 0], anchors[index, 1])
-    )
-    columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
-    moved, H, factor, W, off, change = iterate(
-        x,
-        P,
-        size,
-        begins_of,
-        anchors,
-        num_lines,
-        columns,
-        begins,
-        places,
-        readings,
-        chosen,
-        index,
-        gathered(variances, chosen),
-        iterations if len(chosen) else 0,
-        huber,
-        bend,
-    )
-    return moved, change, H, with_zeros(H, begins, len(columns)), columns, factor, W, off, chosen
+    count = len(innovation)
+    rows = dense_rows(ekf, columns)
+    shifted = np.empty(rows.shape)
+    transport_rows(ekf.P, rows, columns, moved, shifted)
+    W = H @ shifted
+    factor = W[:, columns] @ H.T + noise
+    factorise(factor, count)
+    whiten(factor, W, count, W.shape[1])
+    whitened = innovation.copy().reshape(count, 1)
+    whiten(factor, whitened, count, 1)
+    return Update(columns, H, innovation, factor, W, moved, whitened[:, 0].copy() @ W)

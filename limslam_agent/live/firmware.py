@@ -127,7 +127,9 @@ def ticks(travel: FloatArray) -> tuple[int, int]:
 
 def ranges_in_mm(ranges: NDArray[np.floating[Any]], robot: RobotSpec) -> tuple[int, ...]:
     """Ranges (n_beams,), m, as telemetry has them."""
-    told = ranges.astype(float)
-    mm = np.minimum(np.round(1e3 * told), NOTHING_SEEN - 1)
-    mm = np.where(told >= robot.too_far, NOTHING_SEEN, np.where(told <= robot.too_near, 0.0, mm))
+    metres = ranges.astype(float)
+    mm = np.minimum(np.round(1e3 * metres), NOTHING_SEEN - 1)
+    mm = np.where(
+        metres >= robot.too_far, NOTHING_SEEN, np.where(metres <= robot.too_near, 0.0, mm)
+    )
     return tuple(int(each) for each in mm)

@@ -189,9 +189,9 @@ def _read(kind: type[Message], words: list[str], *, has_heading: bool = False) -
             f"a message {_LETTERS[kind]} has {len(names)} fields; telemetry has 1 to {MAX_BEAMS} "
             "ranges"
         )
-    given = zip(names, words, strict=False)
     values: dict[str, Any] = {
-        name: word if name in _WORDS else _number(word) for name, word in given
+        name: word if name in _WORDS else _number(word)
+        for name, word in zip(names, words, strict=False)
     }
     if kind is Telemetry:
         values["ranges"] = tuple(

@@ -19,7 +19,7 @@ import re
 from array import array
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from limslam_agent.logs.recorded_log import (
     parse_range,
     read_lines,
 )
+from limslam_agent.logs.wording import listed, was
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import SensorSpec, side_of
 from limslam_env.messages import counted
@@ -49,14 +50,13 @@ _FIRST_TIMES = 10
 _LONGEST_STEP = 60.0
 
 _FLASER = b"FLASER"
-_ROBOTLASER = b"ROBOTLASER1"
 _RAWLASER = b"RAWLASER1"
 _ODOM = b"ODOM"
-_KINDS = _FLASER, _ROBOTLASER, _RAWLASER, _ODOM
 _ODOM_FIELDS = 10
 _LASER_FIELDS = 7  # between the kind of a line and its number of beams, where the line describes it
 # Number of fields after the readings, and which of them is the time
-_TAILS = {_FLASER: (9, 6), _ROBOTLASER: (14, 11), _RAWLASER: (3, 0)}
+_TAILS = {_FLASER: (9, 6), b"ROBOTLASER1": (14, 11), _RAWLASER: (3, 0)}
+_KINDS = (*_TAILS, _ODOM)
 # Lines of these kinds say nothing that a map needs.
 _HARMLESS = {b"PARAM", b"SYNC", b"TRUEPOS", b"MARKER", b"MESSAGE"}
 _KIND = re.compile(rb"[A-Z][A-Z0-9_]{1,30}")
@@ -86,11 +86,11 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float] | None, max_range: fl
         check_max_range(max_range)
         events = _Events(beams_deg)
         read_lines(path, events.add)
-        if not events.time:
+        if not events.rows:
             # Any text that is no table is read here, so the message names both.
             table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"
             raise ValueError(f"has no odometry: no ODOM or FLASER line of CARMEN, {table}")
-        if not events.ranges:
+        if not events.scans:
             none = "has no scan: there is no FLASER, ROBOTLASER1 or RAWLASER1 line"
             raise ValueError("; ".join(filter(None, (none, events.others))))
         return _as_log(events, max_range)
@@ -110,11 +110,11 @@ def beam_angles_deg(count: int) -> FloatArray:
     return -90.0 + np.arange(count, dtype=np.float64) * (180.0 / (count - count % 2))
 
 
-@dataclass(frozen=True, eq=False)
-class _Layout:
+class _Layout(NamedTuple):
     """Where a kind of scan has the chosen beams."""
 
-    columns: list[int]  # numbers of the beams
+    beams: int  # number of all beams
+    columns: list[int]  # numbers of the chosen beams
     angles: FloatArray  # their directions (n_beams,), deg
     farthest: float  # readings from here on saw nothing, m
 
@@ -126,22 +126,20 @@ class _Events:
 
     def __init__(self, beams_deg: Sequence[float] | None) -> None:
         self.beams_deg = beams_deg
-        self.first: _Layout | None = None
-        self._count = 0
-        self._layouts = dict[tuple[bytes, ...], _Layout]()
-        self._left_out = Counter[bytes]()
-        self.time = array("d")
-        self.odometry = array("d")
-        self.laser = array("d")
-        self.ranges = array("d")
+        self.layouts = dict[tuple[bytes, ...], _Layout]()  # by the fields that describe a scan
+        self.left_out = Counter[bytes]()
+        self.rows = array("d")  # time and odometry of each event
         self.kinds = bytearray()  # of each event, as an index into ``_KINDS``
+        self.scans = array("d")  # pose of the laser and ranges of each scan
 
     def add(self, line: bytes) -> None:
         """Process one line. The file ends within a line without a newline."""
         fields = line.split()
         kind = fields[0] if fields else b""
         if kind == _ODOM:
-            self._add_odometry(fields)
+            if len(fields) != _ODOM_FIELDS:
+                raise ValueError(f"ODOM has {len(fields)} fields where {_ODOM_FIELDS} are needed")
+            self._add_event(_ODOM, fields[1:4], fields[7])
         elif kind in _TAILS:
             self._add_scan(kind, fields)
         elif (
@@ -152,18 +150,17 @@ class _Events:
             raise ValueError("the line stops within its first word")
         elif kind not in _HARMLESS and _KIND.fullmatch(kind):
             # A text that is no log may have a kind of its own in each line.
-            known = kind in self._left_out or len(self._left_out) < _MOST_KINDS
-            self._left_out[kind if known else b"others"] += 1
+            is_known = kind in self.left_out or len(self.left_out) < _MOST_KINDS
+            self.left_out[kind if is_known else b"others"] += 1
 
     @property
     def others(self) -> str:
         """The kinds of lines that were left out, and how many there are. Empty if there are
         none.
         """
-        most = self._left_out.most_common(_MOST_NAMED)
-        named = ", ".join(f"{number} {kind.decode('ascii')}" for kind, number in most)
-        more = ", ..." if len(self._left_out) > _MOST_NAMED else ""
-        return f"lines of kinds that are not read were left out: {named}{more}" if named else ""
+        most = self.left_out.most_common()
+        kinds = listed([f"{number} {kind.decode('ascii')}" for kind, number in most], _MOST_NAMED)
+        return f"lines of kinds that are not read were left out: {kinds}" if kinds else ""
 
     def _add_scan(self, kind: bytes, fields: list[bytes]) -> None:
         begin = 1 if kind == _FLASER else 1 + _LASER_FIELDS
@@ -173,66 +170,53 @@ class _Events:
         count = int(text[:9])
         check_beams(count)
         layout = self._layout(count, tuple(fields[2:begin]))
+        readings = fields[begin + 1 : begin + 1 + count]
         tail = fields[begin + 1 + count :]
         if kind != _FLASER and tail and tail[0].isdigit():
             tail = tail[1 + int(tail[0][:9]) :]
-        wanted, time = _TAILS[kind]
-        if len(tail) != wanted:
+        needed, time = _TAILS[kind]
+        if len(tail) != needed:
             self._refuse_scan(kind, fields, count)
-        values = [
-            parse_range(fields[begin + 1 + column], f"range {column + 1}")
-            for column in layout.columns
-        ]
-        values = [math.inf if value >= layout.farthest else value for value in values]
+        ranges = [parse_range(readings[each], f"range {each + 1}") for each in layout.columns]
         laser = [parse_number(field, "the laser's pose") for field in tail[: min(time, 3)]]
         self._add_event(kind, tail[3:6] if time else [b"0"] * 3, tail[time])
-        self.ranges.extend(values)
-        self.laser.extend(laser or [0.0] * 3)
-
-    def _add_odometry(self, fields: list[bytes]) -> None:
-        if len(fields) != _ODOM_FIELDS:
-            raise ValueError(f"ODOM has {len(fields)} fields where {_ODOM_FIELDS} are needed")
-        self._add_event(_ODOM, fields[1:4], fields[7])
+        self.scans.extend(laser or [0.0] * 3)
+        self.scans.extend(math.inf if each >= layout.farthest else each for each in ranges)
 
     def _add_event(self, kind: bytes, pose: list[bytes], time: bytes) -> None:
         odometry = [parse_number(field, "the odometry") for field in pose]
-        seconds = parse_number(time, "the time")
-        self.odometry.extend(odometry)
-        self.time.append(seconds)
+        self.rows.extend((parse_number(time, "the time"), *odometry))
         self.kinds.append(_KINDS.index(kind))
 
     def _layout(self, count: int, laser: tuple[bytes, ...]) -> _Layout:
         """Where scans of a laser have the chosen beams. ``laser`` has the fields that describe it,
         from the start angle on.
         """
-        known = b"%d" % count, *laser
-        if known not in self._layouts:
-            self._layouts[known] = self._new_layout(count, laser)
-        return self._layouts[known]
-
-    def _new_layout(self, count: int, laser: tuple[bytes, ...]) -> _Layout:
+        key = b"%d" % count, *laser
+        if key in self.layouts:
+            return self.layouts[key]
         angles, farthest = _described(count, laser) if laser else (beam_angles_deg(count), math.inf)
         columns = choose_beams(angles, self.beams_deg)
-        found = _Layout(columns, angles[columns], farthest)
-        if self.first is None:
-            self.first = found
-            self._count = count
-        elif np.abs(found.angles - self.first.angles).max() > _SAME_BEAM_DEG:
-            raise ValueError(f"a scan of {count} beams after scans of {self._count}")
-        return found
+        layout = _Layout(count, columns, angles[columns], farthest)
+        first = next(iter(self.layouts.values()), layout)
+        if np.abs(layout.angles - first.angles).max() > _SAME_BEAM_DEG:
+            raise ValueError(f"a scan of {count} beams after scans of {first.beams}")
+        self.layouts[key] = layout
+        return layout
 
     def _refuse_scan(self, kind: bytes, fields: list[bytes], count: int) -> None:
         """Raise an error that says what is wrong with a scan whose number of fields is wrong."""
-        tail = fields[2 + count :]
-        stamped = len(tail) in (3, 6) and not is_number(tail[-2])
-        bare = len(fields) >= 2 + count and not tail
-        if kind == _FLASER and not self.time and (stamped or bare):
-            raise ValueError("has no odometry: the scan comes without its poses")
-        needed = f" where {2 + count + _TAILS[kind][0]} are needed" if kind == _FLASER else ""
         name = kind.decode()
-        raise ValueError(
-            f"{name} has {len(fields)} fields{needed or ', which is not as many as it announces'}"
-        )
+        if kind != _FLASER:
+            raise ValueError(
+                f"{name} has {len(fields)} fields, which is not as many as it announces"
+            )
+        tail = fields[2 + count :]
+        is_stamped = len(tail) in (3, 6) and not is_number(tail[-2])
+        if not self.rows and (is_stamped or len(fields) == 2 + count):
+            raise ValueError("has no odometry: the scan comes without its poses")
+        needed = 2 + count + _TAILS[_FLASER][0]
+        raise ValueError(f"{name} has {len(fields)} fields where {needed} are needed")
 
 
 def _described(count: int, laser: Sequence[bytes]) -> tuple[FloatArray, float]:
@@ -250,84 +234,82 @@ def _described(count: int, laser: Sequence[bytes]) -> tuple[FloatArray, float]:
 
 
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
-    assert events.first is not None  # noqa: S101 (there is a scan)
-    time = np.array(events.time)
+    rows = np.array(events.rows).reshape(-1, 4)
+    time = rows[:, 0]
     kinds = np.frombuffer(events.kinds, dtype=np.uint8)
     has_scan = kinds != _KINDS.index(_ODOM)
     is_raw = kinds == _KINDS.index(_RAWLASER)
-    shifted = -float(time[0]) if _begins_below_zero(time) else 0.0
-    kept = time + shifted >= 0.0
-    notes = _notes_of_times(shifted, int((~kept).sum()))
-    odometry = np.array(events.odometry).reshape(-1, 3)
+    angles = np.radians(next(iter(events.layouts.values())).angles)
+    odometry = rows[:, 1:]
     odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
-    laser = np.zeros((len(time), 3))
-    laser[has_scan] = np.array(events.laser).reshape(-1, 3)
-    ranges = np.full((len(time), len(events.first.columns)), np.nan)
-    ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, ranges.shape[1]))
+    ranges = np.full((len(time), len(angles)), np.nan)
+    scans = np.array(events.scans).reshape(-1, 3 + len(angles))
+    ranges[has_scan] = _without_codes(scans[:, 3:])
+    notes = []
+    # A single wrong time does not go on.
+    steps = np.diff(time[:_FIRST_TIMES])
+    if time[0] < 0.0 and len(steps) and (np.abs(steps) < _LONGEST_STEP).all():
+        first = float(time[0])
+        time = time - first
+        notes.append(f"the times begin at {first:g} s; {-first:g} s were added to all of them")
+    kept = time >= 0.0
+    if untimed := int((~kept).sum()):
+        lines = counted(untimed, "line")
+        notes.append(f"{lines} with a negative time {was(untimed)} left out")
     gaps = list[int]()
-    if (is_posed := has_scan & ~is_raw & kept).any():
+    mount = np.zeros(3)
+    is_posed = has_scan & ~is_raw & kept
+    if is_posed.any():
         # They repeat scans with poses, unless there are more of them.
         if (raw := int(is_raw.sum())) > int(is_posed.sum()):
-            notes += (f"{counted(raw, 'RAWLASER1 line')} without a pose left out",)
+            notes.append(f"{counted(raw, 'RAWLASER1 line')} without a pose left out")
         kept &= ~is_raw
-        mount = _laser_mount(odometry[is_posed], laser[is_posed])
+        mount = _laser_mount(odometry[is_posed], scans[is_posed[has_scan], :3])
     else:
-        kept, odometry, gaps, found = _posed(time, odometry, ranges, is_raw, kept)
-        mount = np.zeros(3)
-        notes = notes + found
+        kept, odometry, gaps, found = _posed(time, odometry, ranges, kept & is_raw, kept & ~is_raw)
+        notes += found
     if not has_scan[kept].any():
         raise ValueError("has no scan whose time is not negative")
-    notes += (events.others,) if events.others else ()
-    angles = np.radians(events.first.angles)
-    beams = _beams(angles, mount, max_range)
+    notes += filter(None, (events.others,))
+    turned = se2.wrap_angle(angles + mount[2]).tolist()
+    x, y, _ = mount.tolist()
     return pose_log(
-        beams, time[kept] + shifted, odometry[kept], ranges[kept], has_scan[kept], None, notes, gaps
+        [SensorSpec(x, y, each, MIN_RANGE, max_range, side_of(each)) for each in turned],
+        time[kept],
+        odometry[kept],
+        notes=notes,
+        ranges=ranges[kept],
+        has_scan=has_scan[kept],
+        gaps=tuple(gaps),
     )
 
 
 def _posed(
-    time: FloatArray, odometry: FloatArray, ranges: FloatArray, is_raw: BoolArray, kept: BoolArray
+    time: FloatArray,
+    odometry: FloatArray,
+    ranges: FloatArray,
+    is_scan: BoolArray,
+    is_pose: BoolArray,
 ) -> tuple[BoolArray, FloatArray, list[int], tuple[str, ...]]:
     """Odometry (n, 3) with poses of the scans without one, by the other lines. Also which lines are
     kept (n,), the first ones after a gap of odometry, and what is to be said of it.
     """
-    if not (kept & ~is_raw).any():
+    if not is_pose.any():
         raise ValueError("has no odometry: the scans come without poses, and there is no ODOM line")
-    rows = np.flatnonzero(kept & ~is_raw)
+    rows = np.flatnonzero(is_pose)
     rows = rows[np.argsort(time[rows], kind="stable")]
-    stream = OdometryStream.of(time[rows], odometry[rows])
-    scans = np.flatnonzero(kept & is_raw)
-    silent = stream.silent_times(time[scans], ranges[scans])
+    stream = OdometryStream(time[rows], odometry[rows])
+    silent = stream.silent_times(time[is_scan], ranges[is_scan])
     odometry = odometry.copy()
-    odometry[scans] = stream.at(time[scans])
+    odometry[is_scan] = stream.at(time[is_scan])
     odometry[rows] = stream.poses
-    kept = kept.copy()
-    kept[scans] = ~silent.hold(time[scans])
-    outside = (time < stream.times[0]) | (time > stream.times[-1])
-    left_out = int((kept & is_raw & outside).sum())
-    kept &= ~(is_raw & outside)
-    before_or_after = f"{counted(left_out, 'scan')} before or after all odometry left out"
-    notes = (*stream.notes, *silent.notes(time[scans]), *([before_or_after] if left_out else []))
+    is_heard = is_scan & ~silent.hold(time)
+    is_within = is_heard & (time >= stream.times[0]) & (time <= stream.times[-1])
+    notes = (*stream.notes, *silent.notes(time[is_scan]))
+    if left_out := int(is_heard.sum() - is_within.sum()):
+        notes += (f"{counted(left_out, 'scan')} before or after all odometry left out",)
+    kept = is_pose | is_within
     return kept, odometry, silent.events_after(time[kept]), notes
-
-
-def _notes_of_times(shifted: float, untimed: int) -> tuple[str, ...]:
-    """What was added to all times, s, and how many lines have impossible times, in words."""
-    notes = []
-    if shifted:
-        notes.append(f"the times begin at {-shifted:g} s; {shifted:g} s were added to all of them")
-    if untimed:
-        were = "were" if untimed > 1 else "was"
-        notes.append(f"{counted(untimed, 'line')} with a negative time {were} left out")
-    return tuple(notes)
-
-
-def _begins_below_zero(time: FloatArray) -> bool:
-    """Whether a clock (n,), s, begins below 0 and goes on from there. A single wrong time does not
-    go on.
-    """
-    steps = np.diff(time[:_FIRST_TIMES])
-    return bool(time[0] < 0.0 and len(steps) and (np.abs(steps) < _LONGEST_STEP).all())
 
 
 def _without_codes(ranges: FloatArray) -> FloatArray:
@@ -336,8 +318,7 @@ def _without_codes(ranges: FloatArray) -> FloatArray:
     largest = float(ranges.max(where=np.isfinite(ranges), initial=0.0))
     for unit in _SICK_UNITS:
         lowest = _SICK_TOP_COUNTS[0] * unit
-        highest = _SICK_TOP_COUNTS[1] * unit
-        if lowest <= largest <= highest:
+        if lowest <= largest <= _SICK_TOP_COUNTS[1] * unit:
             seen[ranges >= lowest] = np.inf
     return seen
 
@@ -356,10 +337,3 @@ def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:
     # The log has six decimals, so further digits are rounding errors. Adding zero turns -0.0 into
     # 0.0.
     return np.array([*np.round(mount[:2], 6), se2.wrap_angle(float(np.round(mount[2], 6)))]) + 0.0
-
-
-def _beams(angles: FloatArray, mount: FloatArray, max_range: float) -> list[SensorSpec]:
-    x = float(mount[0])
-    y = float(mount[1])
-    turned = [float(se2.wrap_angle(angle + mount[2])) for angle in angles]
-    return [SensorSpec(x, y, a, MIN_RANGE, max_range, side_of(a)) for a in turned]

@@ -9,12 +9,12 @@ not matter. A unit stands in brackets or at the end of the name.
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
-from limslam_agent.logs.directions import direction_of, is_vertical, words_of
+from limslam_agent.logs.directions import direction_of, is_vertical, words_in, words_of
 
 
 class Role(StrEnum):
@@ -65,57 +65,51 @@ UNITS = {
 """Units of each dimension, in s, m, rad, m/s and rad/s."""
 
 DIMENSION_OF = {unit: dimension for dimension, units in UNITS.items() for unit in units}
+SCALE_OF = {unit: scale for units in UNITS.values() for unit, scale in units.items()}
+"""How many s, m, rad, m/s or rad/s each unit is."""
 
+MEASURED: dict[Role | None, Dimension] = {
+    Role.TIME: Dimension.TIME,
+    Role.SPEED: Dimension.SPEED,
+    **dict.fromkeys((Role.X, Role.Y, Role.DISTANCE, Role.RANGE), Dimension.LENGTH),
+    **dict.fromkeys((Role.HEADING, Role.YAW, Role.ANGLE), Dimension.ANGLE),
+    **dict.fromkeys((Role.TURN_RATE, Role.YAW_RATE), Dimension.TURN_RATE),
+}
+"""What the columns of a role measure. Those of wheels hold ticks, a length or a speed, and those of
+quaternions have no unit.
+"""
+
+_OF_WHEELS = {Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE, Dimension.TICKS}
 _SPELLINGS = {
-    "s": ("sec", "secs", "second", "seconds"),
-    "ms": ("msec", "msecs", "millis", "millisecond", "milliseconds"),
-    "us": ("usec", "usecs", "micros", "microsecond", "microseconds"),
-    "ns": ("nsec", "nsecs", "nanos", "nanosecond", "nanoseconds"),
-    "m": ("metre", "metres", "meter", "meters"),
-    "cm": ("centimetre", "centimetres", "centimeter", "centimeters"),
-    "mm": ("millimetre", "millimetres", "millimeter", "millimeters"),
-    "rad": ("radian", "radians"),
-    "deg": ("degs", "degree", "degrees"),
-    "m/s": ("mps",),
-    "cm/s": ("cmps",),
-    "mm/s": ("mmps",),
-    "rad/s": ("rads", "radps"),
-    "deg/s": ("dps", "degs/s", "degps"),
-    "rpm": (),
-    "ticks": ("tick", "count", "counts", "pulse", "pulses"),
+    "s": "sec secs second seconds",
+    "ms": "msec msecs millis millisecond milliseconds",
+    "us": "usec usecs micros microsecond microseconds",
+    "ns": "nsec nsecs nanos nanosecond nanoseconds",
+    "m": "metre metres meter meters",
+    "cm": "centimetre centimetres centimeter centimeters",
+    "mm": "millimetre millimetres millimeter millimeters",
+    "rad": "radian radians",
+    "deg": "degs degree degrees",
+    "m/s": "mps",
+    "cm/s": "cmps",
+    "mm/s": "mmps",
+    "rad/s": "rads radps",
+    "deg/s": "dps degs/s degps",
+    "rpm": "rpm",
+    "ticks": "tick count counts pulse pulses",
 }
-_UNIT_OF = {spelling: unit for unit, others in _SPELLINGS.items() for spelling in (unit, *others)}
-
-_ALLOWED = {
-    Role.TIME: {Dimension.TIME},
-    Role.LEFT: {Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE, Dimension.TICKS},
-    Role.RIGHT: {Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE, Dimension.TICKS},
-    Role.X: {Dimension.LENGTH},
-    Role.Y: {Dimension.LENGTH},
-    Role.HEADING: {Dimension.ANGLE},
-    Role.YAW: {Dimension.ANGLE},
-    Role.YAW_RATE: {Dimension.TURN_RATE},
-    Role.SPEED: {Dimension.SPEED},
-    Role.TURN_RATE: {Dimension.TURN_RATE},
-    Role.DISTANCE: {Dimension.LENGTH},
-    Role.ANGLE: {Dimension.ANGLE},
-    Role.RANGE: {Dimension.LENGTH},
-}
-
-
-def _words_in(text: str) -> frozenset[str]:
-    return frozenset(text.split())
+_UNIT_OF = {word: unit for unit in _SPELLINGS for word in (unit, *_SPELLINGS[unit].split())}
 
 
 # Words of what the robot was told to do, of the truth, and of figures about a measurement.
-_NOT_MEASURED = _words_in(
+_NOT_MEASURED = words_in(
     "pwm cmd command duty power current voltage volt volts battery bat batt target setpoint goal "
     "desired ref reference error err temp temperature status quality signal sigma ambient cov "
     "covariance std var seq id rssi true truth gt mocap vicon acc accel acceleration pitch roll "
     "mag dt loop period valid"
 )
-_CLOCK = _words_in("t time stamp timestamp datetime clock uptime elapsed")
-_SENSOR = _words_in(
+_CLOCK = words_in("t time stamp timestamp datetime clock uptime elapsed")
+_SENSOR = words_in(
     "r range ranges dist distance tof flight us uss sonar ultrasonic ultrasound ir lidar laser "
     "prox proximity sharp sensor echo beam hcsr hc vl d s"
 )
@@ -124,54 +118,48 @@ _SHORT_LAST = {"us", "ir"}
 _MINUS = {"m", "minus", "neg"}
 _LEFT = {"left", "l", "lft"}
 _RIGHT = {"right", "r", "rgt"}
-_SPEED = _words_in("speed vel velocity v")
-_ROTATION = _words_in("w omega angular rotational")
-_TICKS = _words_in("enc encoder encoders counter") | {"ticks", *_SPELLINGS["ticks"]}
+_SPEED = words_in("speed vel velocity v")
+_ROTATION = words_in("w omega angular rotational")
+_TICKS = words_in("enc encoder encoders counter") | words_in(_SPELLINGS["ticks"]) | {"ticks"}
 _WHEEL = (
-    _words_in("wheel wheels motor travel odo odom odometry pos position joint rate delta total")
+    words_in("wheel wheels motor travel odo odom odometry pos position joint rate delta total")
     | _SPEED
     | _ROTATION
     | _TICKS
 )
-_PLACE = _words_in(
+_PLACE = words_in(
     "odom odometry pos pose position state estimate field robot base kalman est world global "
     "translation transform local p ekf msg data"
 )
 _FLIGHT_CONTROLLER = {"stabilizer", "estimate"}
-_INERTIAL = _words_in("imu bno mpu icm lsm gyro compass fused stabilizer attitude ahrs euler")
-_COMPUTED_HEADING = _words_in("theta th phi psi")
-_HEADING = _COMPUTED_HEADING | _words_in("yaw heading azimuth bearing")
-_GYRO = _words_in("gz gyro gyr")
-_FORWARD = _words_in("v vx vel velocity speed linear lin")
-_QUATERNION = _words_in("orientation quaternion quat q rotation")
-_QUATERNION_PARTS = _words_in("qx qy qz qw")
-_NO_SENSOR = _TICKS | _INERTIAL | _words_in("wheel motor")
-# Names that have exactly these words.
-_EXACT = {
-    _words_in(words): role
-    for role, several in (
-        (Role.DISTANCE, ("distance", "dist", "travel", "travelled distance", "delta distance")),
-        (Role.ANGLE, ("angle", "delta angle", "turned angle", "delta theta")),
-        (Role.YAW_RATE, ("yaw rate", "yawrate", "heading rate", "imu yaw rate")),
-    )
-    for words in several
-}
+_INERTIAL = words_in("imu bno mpu icm lsm gyro compass fused stabilizer attitude ahrs euler")
+_COMPUTED_HEADING = words_in("theta th phi psi")
+_HEADING = _COMPUTED_HEADING | words_in("yaw heading azimuth bearing")
+_GYRO = words_in("gz gyro gyr")
+_FORWARD = words_in("v vx vel velocity speed linear lin")
+_QUATERNION = words_in("orientation quaternion quat q rotation")
+_QUATERNION_PARTS = words_in("qx qy qz qw")
+_NO_SENSOR = _TICKS | _INERTIAL | words_in("wheel motor")
 # Names that have one of some words, and no other words than these and those beside them.
 _MOTIONS = (
-    (Role.X, _words_in("x px"), _PLACE),
-    (Role.Y, _words_in("y py"), _PLACE),
+    (Role.DISTANCE, words_in("distance dist travel"), words_in("travelled delta")),
+    (Role.ANGLE, words_in("angle"), words_in("turned delta")),
+    (Role.X, words_in("x px"), _PLACE),
+    (Role.Y, words_in("y py"), _PLACE),
     (Role.HEADING, _COMPUTED_HEADING, _PLACE | {"angle"}),
+    (Role.ANGLE, words_in("theta"), words_in("delta")),
     (Role.YAW, _HEADING, _INERTIAL | {"angle"}),
     (Role.HEADING, _HEADING, _PLACE | _INERTIAL | {"angle"}),
-    (Role.YAW, _words_in("angle"), _INERTIAL | {"z"}),
-    (Role.YAW_RATE, _GYRO, _INERTIAL | _words_in("z rate yaw")),
-    (Role.YAW_RATE, _words_in("imu"), _words_in("angular vel velocity rate z w wz field")),
+    (Role.YAW, words_in("angle"), _INERTIAL | {"z"}),
+    (Role.YAW_RATE, words_in("yaw heading"), words_in("rate imu")),
+    (Role.YAW_RATE, _GYRO, _INERTIAL | words_in("z rate yaw")),
+    (Role.YAW_RATE, words_in("imu"), words_in("angular vel velocity rate z w wz field")),
     (
         Role.TURN_RATE,
-        _words_in("omega w wz angular ang turn turning rot vth vtheta"),
-        _words_in("z vel velocity speed rate twist robot field odom base yaw"),
+        words_in("omega w wz angular ang turn turning rot vth vtheta"),
+        words_in("z vel velocity speed rate twist robot field odom base yaw"),
     ),
-    (Role.SPEED, _FORWARD, _words_in("x forward twist robot field odom base translational")),
+    (Role.SPEED, _FORWARD, words_in("x forward twist robot field odom base translational")),
 )
 
 # Words that are written together, as in "encoderleft" or "gyroz", are taken apart by these.
@@ -182,8 +170,8 @@ _VOCABULARY = sorted(
         for word in words
         if len(word) > 1
     }
-    | _words_in("left right front back rear yaw rate host linear angular")
-    | _words_in("fl fr bl br"),
+    | words_in("left right front back rear yaw rate host linear angular")
+    | words_in("fl fr bl br"),
     key=len,
     reverse=True,
 )
@@ -214,10 +202,8 @@ class Column:
     sign
         -1 for a column that counts the other way than usual, otherwise 1.
     degrees
-        Direction of a range, deg, left positive. None if the name has none.
-    number
-        The whole number at the end of a range's name, which is a direction in degrees or counts
-        the sensors.
+        Direction of a range, deg, left positive, or a number that counts the sensors. None if the
+        name has none.
     is_word
         Whether a direction is a word like ``front_left``, which is approximate.
     is_bare
@@ -230,7 +216,6 @@ class Column:
     usual: str | None = None
     sign: float = 1.0
     degrees: float | None = None
-    number: int | None = None
     is_word: bool = False
     is_bare: bool = False
 
@@ -248,136 +233,118 @@ def column_of(name: str) -> Column:
     """
     text = name.strip().replace("µ", "u").replace("μ", "u").replace("°", "deg")
     sign = -1.0 if text.startswith("-") and len(text) > 1 else 1.0
-    text = text.removeprefix("-")
-    bracket = _BRACKET.match(text)
-    unit = None if bracket is None else _unit_in(words_of(bracket[2]))
-    if bracket is not None and unit is not None:
-        return _named(name, bracket[1], _words(bracket[1]), unit, sign) or Column(name)
-    words = _words(text)
-    for length in (2, 1):
-        unit = _unit_in(words[-length:]) if len(words) >= length else None
-        if unit is not None:
-            found = _named(name, _without_end(text, words[-length:]), words[:-length], unit, sign)
-            if found is not None:
-                return found
-    return _named(name, text, words, None, sign) or Column(name)
+    for rest, words, unit in _without_unit(text.removeprefix("-")):
+        column = _meaning(Column(name, unit=unit, sign=sign), rest, words)
+        if column.role is None:
+            continue
+        is_wheel = column.role in (Role.LEFT, Role.RIGHT)
+        if column.dimension in {None, *(_OF_WHEELS if is_wheel else (MEASURED.get(column.role),))}:
+            return column
+    return Column(name)
 
 
 def numbered(columns: Sequence[Column]) -> bool:
     """Whether the numbers in the names of ranges count the sensors: 0, 1, 2, ... or 1, 2, 3, ...,
     of a few sensors. Otherwise they are directions in degrees.
     """
-    numbers = sorted(each.number for each in columns if each.number is not None)
-    if len(numbers) < len(columns) or not 2 <= len(numbers) <= _MOST_PLACES:
-        return False
-    return numbers[0] in (0, 1) and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    numbers = {None if each.is_word else each.degrees for each in columns}
+    count = len(columns)
+    are_counted = any(numbers == set(range(first, first + count)) for first in (0, 1))
+    return are_counted and 2 <= count <= _MOST_PLACES
 
 
 def _words(text: str) -> list[str]:
     """The words of a name in lower case; those that are written together are taken apart."""
     found: list[str] = []
     words = words_of(text)
-    is_alone = len(words) == 1 or _unit_in(words[1:]) is not None
+    is_alone = len(words) == 1 or "/".join(words[1:]) in _UNIT_OF
     for word in words:
         if is_alone and _ABBREVIATED.fullmatch(word):
             side = word[0] if len(word) > 2 else word[-1]
             rest = word.strip("lr")
             found += ["delta" if rest == "d" else rest, side]
-        elif word in _VOCABULARY or word in _UNIT_OF:
-            found.append(word)
-        elif _TOGETHER.fullmatch(word):
+        elif word not in _VOCABULARY and word not in _UNIT_OF and _TOGETHER.fullmatch(word):
             found += _PART.findall(word)
         else:
             found.append(word)
     return found
 
 
-def _unit_in(words: Sequence[str]) -> str | None:
-    return _UNIT_OF.get("/".join(words)) if words else None
+def _without_unit(text: str) -> Iterator[tuple[str, list[str], str | None]]:
+    """The ways to read a name as one without its unit, that one in words, and the unit."""
+    bracket = _BRACKET.match(text)
+    if bracket is not None and (unit := _UNIT_OF.get("/".join(words_of(bracket[2])))):
+        yield bracket[1], _words(bracket[1]), unit
+        return
+    words = _words(text)
+    for length in (2, 1):
+        end = words[-length:]
+        if len(end) == length and (unit := _UNIT_OF.get("/".join(end))):
+            pattern = r"[\W_]*".join(["", *map(re.escape, end), "$"])
+            yield re.sub(pattern, "", text, flags=re.IGNORECASE), words[:-length], unit
+    yield text, words, None
 
 
-def _without_end(text: str, words: Sequence[str]) -> str:
-    """A name without the unit at its end."""
-    pattern = r"[\W_]*".join(map(re.escape, words)) + r"[\W_]*$"
-    return re.sub(rf"[\W_]*{pattern}", "", text, flags=re.IGNORECASE)
-
-
-def _named(name: str, text: str, words: list[str], unit: str | None, sign: float) -> Column | None:
-    """The column of a name with these words beside its unit. None if they mean nothing here, or do
-    not go with the unit.
-    """
-    found = _role(name, text, words, unit, sign)
-    if found is None or found.role is None:
-        return None
-    if found.dimension in {None, *_ALLOWED.get(found.role, ())}:
-        return found
-    return None
-
-
-def _role(name: str, text: str, words: list[str], unit: str | None, sign: float) -> Column | None:
+def _meaning(column: Column, text: str, words: list[str]) -> Column:
+    """The column with what its name without the unit says. It has no role if that is nothing."""
     known = set(words)
     if known & _NOT_MEASURED:
-        return None
-    range_column = _range(name, text, words)
-    if range_column is not None:
-        return replace(range_column, unit=unit, sign=sign)
+        return column
+    if (pointing := _range(column, text, words)) is not None:
+        return pointing
     side = _wheel(words)
     if side is not None:
-        is_bare = len(words) == 1 and (unit is None or unit in UNITS[Dimension.LENGTH])
-        return Column(name, side, unit, _wheel_unit(known), sign, is_bare=is_bare)
-    role = _clock(words, unit) or _motion([word for word in words if not word.isdigit()])
-    if role is None:
-        return None
-    if role is Role.TIME:
-        return Column(name, role, unit or _unit_in(words[-1:]), sign=sign)
+        is_length = column.unit is None or column.dimension is Dimension.LENGTH
+        implied = (("m/s", _SPEED), ("rad/s", _ROTATION), ("ticks", _TICKS))
+        usual = next((unit for unit, implying in implied if known & implying), None)
+        return replace(column, role=side, usual=usual, is_bare=len(words) == 1 and is_length)
+    last = words[-1] if words else ""
+    is_unit = len(words) == 1 and len(last) > 1 and _UNIT_OF.get(last) in UNITS[Dimension.TIME]
+    is_clock = bool({last, *words[:1]} & _CLOCK)
+    if is_unit or is_clock or (not words and column.unit in ("ms", "us", "ns")):
+        return replace(column, role=Role.TIME, unit=column.unit or _UNIT_OF.get(last))
+    role = _motion([word for word in words if not word.isdigit()])
     is_of_crazyflie = role in (Role.HEADING, Role.YAW) and bool(known & _FLIGHT_CONTROLLER)
-    return Column(name, role, unit, "deg" if is_of_crazyflie else None, sign)
+    return replace(column, role=role, usual="deg" if is_of_crazyflie else None)
 
 
-def _range(name: str, text: str, words: list[str]) -> Column | None:
+def _range(column: Column, text: str, words: list[str]) -> Column | None:
     """A range: the name has a word for a sensor, and a direction or a number, or is a direction
     alone.
     """
     if not words or is_vertical(text):
         return None
+    known = set(words)
+    is_short = words[0] in _SHORT_SENSOR or words[-1] in _SHORT_LAST
+    has_sensor = len(words) > 1 and (is_short or bool(known & (_SENSOR - _SHORT_SENSOR)))
+    if known & _NO_SENSOR if has_sensor else not _is_direction(words) or _wheel(words):
+        return None
     # A log block of a Crazyflie is in mm.
     usual = "mm" if text.lower().startswith("range.") else None
-    column = Column(name, Role.RANGE, usual=usual)
-    is_short = words[0] in _SHORT_SENSOR or words[-1] in _SHORT_LAST
-    if len(words) == 1 or not (is_short or set(words) & (_SENSOR - _SHORT_SENSOR)):
-        is_wheel = not _is_direction(words) or _wheel(words) is not None
-        found = None if is_wheel else _pointing(column, text, words)
-        return None if found is None else replace(found, is_bare=True)
-    return None if set(words) & _NO_SENSOR else _pointing(column, text, words)
-
-
-def _pointing(column: Column, text: str, words: list[str]) -> Column | None:
-    """The column of a range with the direction in its name."""
+    column = replace(column, role=Role.RANGE, usual=usual, is_bare=not has_sensor)
     if re.search(r"\d_?deg(?![a-z])", text.lower()):
         return replace(column, degrees=direction_of(text))
     beside = words[1:] if words[0] in _SHORT_SENSOR else words
-    named = direction_of("_".join(word for word in beside if not word[0].isdigit()))
+    towards = direction_of("_".join(word for word in beside if not word[0].isdigit()))
     last = _LAST_NUMBER.search(text)
-    if named is not None:
+    if towards is not None:
         size = abs(float(last[1])) if last else 0.0
-        is_exact = size >= _FEWEST_DEGREES and abs(named) == 90.0
-        degrees = math.copysign(size, named) if is_exact else named
+        is_exact = size >= _FEWEST_DEGREES and abs(towards) == 90.0
+        degrees = math.copysign(size, towards) if is_exact else towards
         return replace(column, degrees=degrees, is_word=not is_exact)
     if last is None:
         return column if re.match(r"r(ange)?[_\[]", text.lower()) else None
-    is_negative = len(words) > 1 and words[-2] in _MINUS
-    degrees = -float(last[1]) if is_negative else float(last[1])
-    is_whole = last[1].isdigit() and not is_negative
-    return replace(column, degrees=degrees, number=int(last[1][:9]) if is_whole else None)
+    sign = -1.0 if words[-2:-1] and words[-2] in _MINUS else 1.0
+    return replace(column, degrees=sign * float(last[1]))
 
 
 def _is_direction(words: Sequence[str]) -> bool:
     """Whether all words are directions, beside a number of degrees or one that counts the
     sensors.
     """
-    named = [word for word in words if not word.isdigit()]
-    are_directions = all(len(word) > 1 and direction_of(word) is not None for word in named)
-    return are_directions and direction_of("_".join(named)) is not None
+    towards = [word for word in words if not word.isdigit()]
+    are_directions = all(len(word) > 1 and direction_of(word) is not None for word in towards)
+    return are_directions and direction_of("_".join(towards)) is not None
 
 
 def _wheel(words: Sequence[str]) -> Role | None:
@@ -389,27 +356,10 @@ def _wheel(words: Sequence[str]) -> Role | None:
     return None
 
 
-def _wheel_unit(words: set[str]) -> str | None:
-    """The unit that the words of a wheel's name imply."""
-    for unit, implying in (("m/s", _SPEED), ("rad/s", _ROTATION), ("ticks", _TICKS)):
-        if words & implying:
-            return unit
-    return None
-
-
-def _clock(words: list[str], unit: str | None) -> Role | None:
-    is_unit = len(words) == 1 and len(words[0]) > 1 and _unit_in(words) in UNITS[Dimension.TIME]
-    is_clock = bool(words) and bool({words[-1], words[0]} & _CLOCK)
-    is_alone = not words and unit in ("ms", "us", "ns")
-    return Role.TIME if is_unit or is_clock or is_alone else None
-
-
 def _motion(words: list[str]) -> Role | None:
     """The part of a pose or of a motion that the words name."""
     known = frozenset(words)
-    if not words or known in _EXACT:
-        return _EXACT.get(known)
-    last = words[-1]
+    last = words[-1] if words else ""
     if last in _QUATERNION_PARTS or (last in {"x", "y", "z", "w"} and known & _QUATERNION):
         return Role(f"q{last[-1]}")
     return next(

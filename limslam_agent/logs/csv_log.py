@@ -12,16 +12,20 @@ Columns may have other names and units, in any order (`limslam_agent.logs.column
 odometry other forms (`limslam_agent.logs.table_motion`). The robot on which the beams sit is in
 `limslam_agent.logs.table_options`. An empty field and ``nan`` mean that there is no reading, and
 ``inf`` means that the beam saw nothing (`limslam_agent.readings`).
+
+A table is read in stages: its lines become a header and rows of numbers (`table_text`), the columns
+of the header get their uses (`columns`, `table_layout`), the numbers of the odometry become wheel
+travel or poses (`table_motion`), and those with the ranges a log (here).
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from limslam_agent.logs.columns import Role
+from limslam_agent.logs.columns import SCALE_OF, Role
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -29,31 +33,15 @@ from limslam_agent.logs.pose_log import (
     check_max_range,
     choose_beams,
     median_spacing,
+    nearest_beams,
     pose_log,
 )
-from limslam_agent.logs.recorded_log import (
-    FilePath,
-    RecordedLog,
-    naming,
-    numbered_lines,
-)
-from limslam_agent.logs.table_layout import (
-    Form,
-    Layout,
-    layout_of,
-    nearest_beam,
-    range_directions,
-)
-from limslam_agent.logs.table_motion import Odometry, odometry_of
-from limslam_agent.logs.table_options import (
-    CLOCK_COUNTS,
-    LONGEST_PAUSE,
-    TOO_FAST,
-    TableOptions,
-    check_travel,
-    scale,
-)
-from limslam_agent.logs.table_text import Header, Rows, has_rows_of_numbers, split_header
+from limslam_agent.logs.recorded_log import FilePath, RecordedLog, naming, numbered_lines
+from limslam_agent.logs.table_layout import Header, Layout, layout_of, range_directions
+from limslam_agent.logs.table_motion import Odometry
+from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.logs.table_text import Rows, has_rows_of_numbers, split_header
+from limslam_agent.logs.wording import listed, was
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.messages import counted
@@ -61,9 +49,10 @@ from limslam_env.messages import counted
 # Median spacings of the rows of a control loop, by which the unit of its times is found.
 _SPACINGS = {"ms": (10.0, 2e3), "us": (2e3, 2e6), "ns": (2e6, 1e10)}
 _MOST_IGNORED = 12  # columns in a note
-# No robot's pose moves by more than this between two rows, m and m/s.
-_FARTHEST_STEP = 1.0
-_FASTEST = 20.0
+# A clock in ms or us begins again after so many counts: that in us every 72 minutes. The longest
+# time between two rows in which it does, s
+_CLOCK_COUNTS = 2.0**32
+_LONGEST_PAUSE = 10.0
 _WORDS = {
     Role.TIME: "time",
     Role.LEFT: "left wheel",
@@ -101,226 +90,179 @@ def read_csv(
     than the robot can drive.
     """
     options = options or TableOptions()
+    robot = options.robot
     with naming(path):
-        robot = options.robot
         beams = [] if robot is None else np.degrees(robot.beam_angles).tolist()
         header, lines = split_header(numbered_lines(path), options.columns, beams)
-        table = _Table.of(header, beams_deg, max_range, options)
+        layout = layout_of(header, has_robot=robot is not None)
+        if max_range is not None:
+            check_max_range(max_range)
+        ranges = _Ranges.of(header, layout, options, beams_deg, max_range)
+        rows = Rows(header, layout, ranges.places)
         for number, line in lines:
-            table.rows.add(number, line)
+            rows.add(number, line)
+        rows.check()
         # What overflows on the way is refused as too large.
         with np.errstate(over="ignore", invalid="ignore"):
-            return table.log()
+            return _log(rows, ranges, options)
 
 
 @dataclass(frozen=True, eq=False)
-class _Table:
-    """A table whose columns are known, with its rows."""
+class _Ranges:
+    """The columns of ranges that are used."""
 
-    header: Header
-    layout: Layout
-    options: TableOptions
+    places: list[int]
     beams: tuple[SensorSpec, ...]
-    metres: FloatArray
-    rows: Rows
+    metres: FloatArray  # (n_beams,), for each 1 in the columns
+    words: list[str]  # how each column is read
     notes: tuple[str, ...]
-    readings: tuple[str, ...]
-    names: tuple[str, ...]
+    header: tuple[str, ...]  # of all columns of the table
 
     @classmethod
     def of(
         cls,
         header: Header,
+        layout: Layout,
+        options: TableOptions,
         beams_deg: Sequence[float] | None,
         max_range: float | None,
-        options: TableOptions,
-    ) -> "_Table":
-        """A table without rows. Raises a ValueError if its columns cannot be used."""
+    ) -> "_Ranges":
+        """The ranges in the wanted directions, deg. Raises a ValueError if there are none."""
         robot = options.robot
-        chosen = header.is_chosen
-        layout = layout_of(header.columns, has_robot=robot is not None, is_chosen=chosen)
-        if max_range is not None:
-            check_max_range(max_range)
-        directions, notes = range_directions(layout, robot, is_chosen=chosen)
+        directions, notes = range_directions(layout, robot, header.source)
         reach = DEFAULT_MAX_RANGE if max_range is None else max_range
-        beams = [
-            beam(math.radians(degrees), reach)
-            if robot is None
-            else _mounted(robot, degrees, max_range, header.source)
-            for degrees in directions
-        ]
-        used = choose_beams(np.degrees([each.angle for each in beams]), beams_deg)
-        ranges = [layout.ranges[index] for index in used]
-        columns = [header.columns[place] for place in ranges]
-        units = [options.unit_of(column) or "m" for column in columns]
-        metres = [
-            options.along_beam(directions[index], unit)
-            for index, unit in zip(used, units, strict=True)
-        ]
-        needed = list(layout.motion.values())
-        optional = [*layout.inertial.values(), *ranges]
-        readings = [
-            f"{column.name} -> range at {directions[index]:g} deg, {unit}"
-            for column, index, unit in zip(columns, used, units, strict=True)
-        ]
-        return cls(
-            header,
-            layout,
-            options,
-            tuple(beams[index] for index in used),
-            np.array(metres),
-            Rows(header, needed, optional, layout.ranges),
-            tuple(notes),
-            tuple(readings),
-            layout.header(directions),
-        )
-
-    def log(self) -> RecordedLog:
-        """The rows as a log."""
-        self.rows.check()
-        numbers, has_scan, lines = self.rows.arrays()
-        if not has_scan.any():
-            raise ValueError("has no row with ranges")
-        unit, notes = self._time_unit(numbers[:, 0])
-        numbers[:, 0] = _continued_clock(numbers[:, 0] * scale(unit), scale(unit))
-        for impossible in (_impossible_times, self._impossible_moves):
-            kept = self._without(impossible(numbers), lines)
-            numbers = numbers[kept]
-            has_scan = has_scan[kept]
-            lines = lines[kept]
-        time = numbers[:, 0]
-        _check_clock(time, lines)
-        odometry = self._odometry(numbers)
-        ranges = numbers[:, len(self.layout.places) :] * self.metres
-        found = (*self._notes_of_text(), *self.notes, *notes, *odometry.notes)
-        columns = self._readings({Role.TIME: unit, **odometry.units})
-        robot = self.options.robot
-        if odometry.poses is not None:
-            return pose_log(
-                self.beams,
-                time,
-                odometry.poses,
-                ranges,
-                has_scan,
-                robot,
-                notes=found,
-                columns=columns,
-                header=self.names,
-            )
-        robot = replace(robot or RobotSpec(), beams=self.beams, control_period=median_spacing(time))
-        if odometry.wheels is not None:
-            check_travel(odometry.wheels, time, robot, self.options, odometry.question)
-        return RecordedLog(
-            robot,
-            time,
-            ranges,
-            has_scan,
-            wheels=odometry.wheels,
-            yaw=odometry.yaw,
-            gaps=tuple(odometry.gaps),
-            notes=found,
-            columns=columns,
-            header=self.names,
-        )
-
-    def _time_unit(self, time: FloatArray) -> tuple[str, list[str]]:
-        """The unit of the times (n,), and a note where the spacing of the rows has shown it."""
-        column = self.layout.column(Role.TIME)
-        if self.rows.has_calendar:
-            return "s", []
-        known = self.options.unit_of(column)
-        if known is not None:
-            return known, []
-        spacing = median_spacing(time)
-        for unit, (low, high) in _SPACINGS.items():
-            if low <= spacing < high:
-                note = (
-                    f"the times are read in {unit}, since the rows are {spacing:g} apart; "
-                    "--time-unit says another unit"
-                )
-                return unit, [note]
-        return "s", []
-
-    def _odometry(self, numbers: FloatArray) -> Odometry:
-        """The odometry of the numbers (n, k) of the rows, whose first column has the times, s."""
-        values = {
-            role: numbers[:, place] * self.layout.column(role).sign
-            for place, role in enumerate(self.layout.places)
-        }
-        time = numbers[:, 0]
-        return odometry_of(self.layout, values, time, median_spacing(time), self.options)
-
-    def _impossible_moves(self, numbers: FloatArray) -> BoolArray:
-        """Rows (n,) of numbers (n, k) with a motion that no robot makes, after which it goes on as
-        before.
-        """
-        odometry = self._odometry(numbers)
-        time = numbers[:, 0]
-        lasted = np.maximum(np.diff(time, prepend=time[:1]), median_spacing(time))
-        if odometry.poses is not None:
-            moves = np.diff(odometry.poses[:, :2], axis=0, prepend=odometry.poses[:1, :2])
-            farthest = _FARTHEST_STEP + _FASTEST * lasted
+        if robot is None:
+            beams = [beam(math.radians(degrees), reach) for degrees in directions]
         else:
-            moves = np.zeros((len(time), 2)) if odometry.wheels is None else odometry.wheels
-            robot = self.options.robot or RobotSpec()
-            farthest = TOO_FAST * robot.max_wheel_speed * lasted
-        is_far = np.abs(moves).max(axis=1) > farthest
-        is_impossible = np.zeros(len(time), dtype=np.bool_)
-        if self.layout.form is not Form.POSES and (
-            odometry.is_speed or not self.options.accumulated
-        ):
-            is_impossible[1:-1] = is_far[1:-1] & ~is_far[:-2] & ~is_far[2:]
-            return is_impossible
-        after_both = np.abs(moves[:-1] + moves[1:]).max(axis=1) <= farthest[:-1] + farthest[1:]
-        is_impossible[:-1] = is_far[:-1] & is_far[1:] & after_both
-        return is_impossible
+            beams = _mounted(robot, directions, max_range)
+        used = choose_beams(np.degrees([each.angle for each in beams]), beams_deg)
+        places = [layout.ranges[index] for index in used]
+        metres = []
+        words = []
+        for place, index in zip(places, used, strict=True):
+            column = layout.columns[place]
+            unit = options.unit_of(column) or "m"
+            metres.append(options.along_beam(directions[index], unit))
+            words.append(f"{column.name} -> range at {directions[index]:g} deg, {unit}")
+        chosen = tuple(beams[index] for index in used)
+        return cls(places, chosen, np.array(metres), words, notes, layout.header(directions))
 
-    def _without(self, is_impossible: BoolArray, lines: NDArray[np.int64]) -> BoolArray:
-        """The rows (n,) that are kept: all that are possible, if the others are few enough to be
-        damaged lines. ``lines`` (n,) has their numbers.
-        """
+
+def _mounted(
+    robot: RobotSpec, directions: Sequence[float], max_range: float | None
+) -> list[SensorSpec]:
+    """The robot's beams in the directions of columns, deg. A reading of a table is a new
+    measurement in each row. Raises a ValueError if the robot has no such beam.
+    """
+    beams = []
+    for index in nearest_beams(np.degrees(robot.beam_angles), directions, "the robot's beams"):
+        found = robot.beams[index]
+        reach = found.max_range if max_range is None else min(found.max_range, max_range)
+        if reach <= found.min_range:
+            raise ValueError(
+                f"the largest range must be above the beam's shortest of {found.min_range:g} m, "
+                f"not {reach:g}"
+            )
+        beams.append(replace(found, max_range=reach, period=1, phase=0))
+    return beams
+
+
+def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
+    """The rows as a log."""
+    layout = rows.layout
+    numbers, has_scan, lines = rows.arrays()
+    if not has_scan.any():
+        raise ValueError("has no row with ranges")
+    unit, time_notes = _time_unit(rows, median_spacing(numbers[:, 0]), options)
+    numbers[:, 0] = _continued_clock(numbers[:, 0] * SCALE_OF[unit], SCALE_OF[unit])
+    for impossible_rows in (
+        _impossible_times,
+        lambda left: Odometry(layout, left, options).impossible_rows(),
+    ):
+        is_impossible = impossible_rows(numbers)
         count = int(is_impossible.sum())
-        if not count or not self.rows.allows(count):
-            return np.ones(len(lines), dtype=np.bool_)
-        first = lines[int(np.argmax(is_impossible))]
-        self.rows.add_damage(f"line {first}: its time or its motion is impossible", count)
-        return ~is_impossible
+        if count and rows.allows(count):
+            first = lines[int(np.argmax(is_impossible))]
+            rows.add_damage(f"line {first}: its time or its motion is impossible", count)
+            numbers = numbers[~is_impossible]
+            has_scan = has_scan[~is_impossible]
+            lines = lines[~is_impossible]
+    time = numbers[:, 0]
+    steps = np.diff(time)
+    if (steps < -LARGEST_STEP_BACK).any():
+        row = int(np.argmax(steps < -LARGEST_STEP_BACK))
+        raise ValueError(
+            f"line {lines[row + 1]}: the time steps back by {-steps[row]:.1f} s: if the robot was "
+            "switched on again, replay the parts as logs of their own"
+        )
+    odometry = Odometry(layout, numbers, options)
+    notes = (*_notes_of_text(rows), *ranges.notes, *time_notes, *odometry.notes)
+    fields: dict[str, Any] = {
+        "ranges": numbers[:, len(layout.places) :] * ranges.metres,
+        "has_scan": has_scan,
+        "columns": _columns_in_words(layout, ranges, {Role.TIME: unit, **odometry.units}),
+        "header": ranges.header,
+    }
+    if odometry.poses is not None:
+        return pose_log(ranges.beams, time, odometry.poses, options.robot, notes, **fields)
+    robot = replace(
+        options.robot or RobotSpec(), beams=ranges.beams, control_period=median_spacing(time)
+    )
+    odometry.check_wheels(robot)
+    return RecordedLog(
+        robot,
+        time,
+        wheels=odometry.wheels,
+        yaw=odometry.yaw,
+        gaps=tuple(odometry.gaps),
+        notes=notes,
+        **fields,
+    )
 
-    def _notes_of_text(self) -> list[str]:
-        """What was left out of the text."""
-        notes = []
-        if self.header.skipped:
-            were = "were" if self.header.skipped > 1 else "was"
-            notes.append(
-                f"{counted(self.header.skipped, 'line')} of text before the table {were} skipped"
-            )
-        if self.rows.damaged:
-            were = "were" if self.rows.damaged > 1 else "was"
-            first = "the first is " if self.rows.damaged > 1 else ""
-            notes.append(
-                f"{counted(self.rows.damaged, 'damaged line')} {were} left out: "
-                f"{first}{self.rows.first_damage}"
-            )
-        if self.rows.repeated:
-            lines = counted(self.rows.repeated, "line")
-            notes.append(f"{lines} repeated the line before, and count once")
-        unused = self.layout.unused
-        if unused:
-            more = f" and {len(unused) - _MOST_IGNORED} more" if len(unused) > _MOST_IGNORED else ""
-            are = "columns are" if len(unused) > 1 else "column is"
-            notes.append(f"{len(unused)} {are} not used: {', '.join(unused[:_MOST_IGNORED])}{more}")
-        return notes
 
-    def _readings(self, units: dict[Role, str]) -> tuple[str, ...]:
-        """How each column was read, a line each."""
-        moves = []
-        for role in self.layout.places:
-            column = self.layout.column(role)
-            turned = ", counted the other way" if column.sign < 0.0 else ""
-            unit = f", {units[role]}" if role in units else ""
-            moves.append(f"{column.name} -> {_WORDS.get(role, role)}{unit}{turned}")
-        unused = [f"{name} -> not used" for name in self.layout.unused]
-        return (*moves, *self.readings, *unused)
+def _time_unit(rows: Rows, spacing: float, options: TableOptions) -> tuple[str, list[str]]:
+    """The unit of the times, and a note where their usual spacing has shown it."""
+    unit = options.unit_of(rows.layout.column(Role.TIME))
+    if rows.has_calendar or unit:
+        return "s" if rows.has_calendar else str(unit), []
+    for unit, (low, high) in _SPACINGS.items():
+        if low <= spacing < high:
+            note = (
+                f"the times are read in {unit}, since the rows are {spacing:g} apart; "
+                "--time-unit says another unit"
+            )
+            return unit, [note]
+    return "s", []
+
+
+def _notes_of_text(rows: Rows) -> list[str]:
+    """What was left out of the text."""
+    notes = []
+    if skipped := rows.header.skipped:
+        lines = counted(skipped, "line")
+        notes.append(f"{lines} of text before the table {was(skipped)} skipped")
+    if rows.damaged:
+        lines = counted(rows.damaged, "damaged line")
+        first = "the first is " if rows.damaged > 1 else ""
+        notes.append(f"{lines} {was(rows.damaged)} left out: {first}{rows.first_damage}")
+    if rows.repeated:
+        lines = counted(rows.repeated, "line")
+        notes.append(f"{lines} repeated the line before, and count once")
+    if unused := rows.layout.unused:
+        are = "columns are" if len(unused) > 1 else "column is"
+        notes.append(f"{len(unused)} {are} not used: {listed(unused, _MOST_IGNORED)}")
+    return notes
+
+
+def _columns_in_words(layout: Layout, ranges: _Ranges, units: dict[Role, str]) -> tuple[str, ...]:
+    """How each column was read, a line each."""
+    moves = []
+    for role in layout.places:
+        column = layout.column(role)
+        turned = ", counted the other way" if column.sign < 0.0 else ""
+        unit = f", {units[role]}" if role in units else ""
+        moves.append(f"{column.name} -> {_WORDS.get(role, role)}{unit}{turned}")
+    return (*moves, *ranges.words, *(f"{name} -> not used" for name in layout.unused))
 
 
 def _impossible_times(numbers: FloatArray) -> BoolArray:
@@ -329,12 +271,10 @@ def _impossible_times(numbers: FloatArray) -> BoolArray:
     """
     time = numbers[:, 0]
     is_impossible = np.zeros(len(time), dtype=np.bool_)
-    if len(time) < 3:
-        return is_impossible
     before = time[:-2]
     here = time[1:-1]
     after = time[2:]
-    follow = (after >= before) & (after - before <= LONGEST_PAUSE)
+    follow = (after >= before) & (after - before <= _LONGEST_PAUSE)
     is_outside = (here < before - LARGEST_STEP_BACK) | (here > after + LARGEST_STEP_BACK)
     is_impossible[1:-1] = follow & is_outside
     return is_impossible
@@ -344,43 +284,8 @@ def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
     """Times (n,), s, of a clock that counts in ``unit``, s, and begins again when it is full. A
     late row after that is still from before.
     """
-    turn = CLOCK_COUNTS * unit
-    continued = time.copy()
-    turns = 0.0
-    before = float(time[0])
-    for row, seconds in enumerate(time.tolist()):
-        late = turns
-        if seconds < before - LARGEST_STEP_BACK and 0.0 <= seconds - before + turn < LONGEST_PAUSE:
-            turns += turn  # a clock that was full begins again at 0
-            late = turns
-        elif turns and seconds < turn and abs(seconds - turn - before) <= LARGEST_STEP_BACK:
-            late = turns - turn
-        before = seconds if late == turns else before
-        continued[row] = seconds + late
-    return continued
-
-
-def _check_clock(time: FloatArray, lines: NDArray[np.int64]) -> None:
-    """Refuse times (n,), s, that step back, of rows with these numbers of lines (n,)."""
-    steps = np.diff(time)
-    if not (steps < -LARGEST_STEP_BACK).any():
-        return
-    row = int(np.argmax(steps < -LARGEST_STEP_BACK))
-    raise ValueError(
-        f"line {lines[row + 1]}: the time steps back by {-steps[row]:.1f} s: if the robot was "
-        "switched on again, replay the parts as logs of their own"
-    )
-
-
-def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
-    """The robot's beam in a direction that ``source`` names. A reading of a table is a new
-    measurement in each row. Raises a ValueError if the robot has no such beam.
-    """
-    found = robot.beams[nearest_beam(robot, degrees, source)]
-    reach = found.max_range if max_range is None else min(found.max_range, max_range)
-    if reach <= found.min_range:
-        raise ValueError(
-            f"the largest range must be above the beam's shortest of {found.min_range:g} m, not "
-            f"{reach:g}"
-        )
-    return replace(found, max_range=reach, period=1, phase=0)
+    turn = _CLOCK_COUNTS * unit
+    steps = np.diff(time, prepend=time[:1])
+    begins = (steps < -LARGEST_STEP_BACK) & (steps + turn >= 0.0) & (steps + turn < _LONGEST_PAUSE)
+    is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
+    return time + turn * (np.cumsum(begins) - np.cumsum(is_late))

@@ -3,31 +3,30 @@
 import math
 import re
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from limslam_env.geometry import FloatArray
+
+
+def words_in(text: str) -> frozenset[str]:
+    """The words of a text between its spaces."""
+    return frozenset(text.split())
+
+
 _WAYS = {
-    0.0: ("front", "ahead", "forward", "fwd", "f"),
-    90.0: ("left", "l"),
-    180.0: ("back", "rear", "behind", "backward", "b"),
-    -90.0: ("right", "r"),
-    45.0: ("fl", "lf"),
-    -45.0: ("fr", "rf"),
-    135.0: ("bl", "rl"),
-    -135.0: ("br", "rr"),
+    0.0: "front ahead forward fwd f",
+    90.0: "left l",
+    180.0: "back rear behind backward b",
+    -90.0: "right r",
+    45.0: "fl lf",
+    -45.0: "fr rf",
+    135.0: "bl rl",
+    -135.0: "br rr",
 }
-_TOWARDS = {word: degrees for degrees, words in _WAYS.items() for word in words}
+_TOWARDS = {word: degrees for degrees, words in _WAYS.items() for word in words_in(words)}
+_VERTICAL = words_in("up down top bottom ground floor ceiling cliff height altitude zrange")
 # A single letter is a direction only as the last word of a name: in "r_l", but not in "l_laser".
-_VERTICAL = {
-    "up",
-    "down",
-    "top",
-    "bottom",
-    "ground",
-    "floor",
-    "ceiling",
-    "cliff",
-    "height",
-    "altitude",
-    "zrange",
-}
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+(?:\.\d+)?")
 # In "beam30deg", "m30deg" does not say which sign was meant.
 _SIGN = r"(?:([-+])|(?<![a-z0-9.])(m|minus_?|neg_?)|(?<![mgs0-9.]))"
@@ -47,15 +46,18 @@ def direction_of(name: str) -> float | None:
     if number is not None:
         return -float(number[3]) if number[1] == "-" or number[2] else float(number[3])
     words = words_of(name)
-    named = {
-        _TOWARDS[word]
-        for place, word in enumerate(words)
-        if word in _TOWARDS and _counts(words, place)
-    }
-    x = sum(math.cos(math.radians(degrees)) for degrees in named)
-    y = sum(math.sin(math.radians(degrees)) for degrees in named)
+    are_ways = [len(word) > 1 for word in words[:-1]] + [True]
+    ways = {_TOWARDS.get(word) for word, is_way in zip(words, are_ways, strict=False) if is_way}
+    angles = [math.radians(degrees) for degrees in ways if degrees is not None]
+    x = sum(map(math.cos, angles))
+    y = sum(map(math.sin, angles))
     # Opposite words cancel each other out.
     return round(math.degrees(math.atan2(y, x)), 6) if math.hypot(x, y) > 0.5 else None
+
+
+def apart(angles: ArrayLike, wanted: float) -> FloatArray:
+    """How far angles (n,) are from a wanted one, deg, from 0 to 180."""
+    return np.asarray(np.abs((np.asarray(angles) - wanted + 180.0) % 360.0 - 180.0))
 
 
 def degrees_of(text: str) -> float:
@@ -81,7 +83,3 @@ def is_vertical(name: str) -> bool:
     walls.
     """
     return bool(_VERTICAL & set(words_of(name)))
-
-
-def _counts(words: list[str], place: int) -> bool:
-    return len(words[place]) > 1 or place == len(words) - 1

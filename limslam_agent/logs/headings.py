@@ -1,7 +1,8 @@
 """Headings beside wheels: in which unit and which way they turn as the wheels do."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,19 +25,10 @@ _TURNED_TO_DIFFER = 20.0
 _NO_DIFFERENCE = 0.03
 
 
-@dataclass(frozen=True, eq=False)
-class Heading:
-    """A heading beside wheels.
-
-    Attributes
-    ----------
-    yaw
-        (n,), rad, counter-clockwise as the wheels turn; NaN where it has no reading. None if it
-        does not follow the wheels.
-    unit
-        The unit in which it was read.
-    notes
-        What was found, in words.
+class Heading(NamedTuple):
+    """A heading beside wheels (n,), rad, counter-clockwise as the wheels turn, NaN where it has no
+    reading, or None if it does not follow them; the unit in which it was read; and what was found,
+    in words.
     """
 
     yaw: FloatArray | None

@@ -1,7 +1,6 @@
 """Opens a recorded log of any supported format."""
 
 from collections.abc import Sequence
-from os import fspath
 from pathlib import PurePath
 
 from limslam_agent.logs.carmen import read_carmen
@@ -11,9 +10,9 @@ from limslam_agent.logs.pose_log import DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import (
     ZIP_MAGIC,
     FilePath,
-    LogError,
     RecordedLog,
     first_bytes,
+    naming,
     read_npz,
 )
 from limslam_agent.logs.ros_bag import is_bag
@@ -82,7 +81,8 @@ def read_log(
     >>> len(log), log.robot.max_ranges.tolist()
     (60, [3.0, 3.0, 3.0])
     """
-    log = _as_reported(path, beams_deg, max_range, topics, table)
+    with naming(path):
+        log = _as_reported(path, beams_deg, max_range, topics, table)
     return log if missing == "auto" else log.taken(missing)
 
 
@@ -93,37 +93,32 @@ def _as_reported(
     topics: Topics | None,
     table: TableOptions | None,
 ) -> RecordedLog:
+    place = PurePath(path)
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
     if is_bag(path):
-        _refuse_options(path, table)
+        _refuse_options(table)
         return read_ros(path, beams_deg, reach, topics)
     # Programs also give these endings to plain text.
-    if (
-        PurePath(path).suffix.lower() in _SPREADSHEETS
-        and first_bytes(path, 4) in _SPREADSHEET_MAGICS
-    ):
-        raise LogError(f"{fspath(path)}: is a spreadsheet, which must be saved as CSV in UTF-8")
+    is_spreadsheet = place.suffix.lower() in _SPREADSHEETS
+    if is_spreadsheet and first_bytes(path, 4) in _SPREADSHEET_MAGICS:
+        raise ValueError("is a spreadsheet, which must be saved as CSV in UTF-8")
     if topics:
-        raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
-    if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or PurePath(path).suffix == ".npz":
+        raise ValueError("is not a ROS bag, so topics cannot be chosen")
+    if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or place.suffix == ".npz":
         if beams_deg is not None or max_range is not None:
             chosen = "beams" if beams_deg is not None else "largest range"
-            raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
-        _refuse_options(path, table)
+            raise ValueError(f"the log fixes its {chosen}, which cannot be chosen")
+        _refuse_options(table)
         return with_heading_beside_wheels(read_npz(path))
-    if (
-        fspath(path).endswith(_TEXT_ENDINGS)
-        or (table is not None and table.columns)
-        or is_csv(path)
-    ):
+    has_names = table is not None and bool(table.columns)
+    if place.name.endswith(_TEXT_ENDINGS) or has_names or is_csv(path):
         return read_csv(path, beams_deg, max_range, table)
-    _refuse_options(path, table)
+    _refuse_options(table)
     return read_carmen(path, beams_deg, reach)
 
 
-def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
-    if table is not None and table != TableOptions():
-        raise LogError(
-            f"{fspath(path)}: is not a table in plain text, so --robot, units and --columns do "
-            "not go with it"
+def _refuse_options(table: TableOptions | None) -> None:
+    if table not in (None, TableOptions()):
+        raise ValueError(
+            "is not a table in plain text, so --robot, units and --columns do not go with it"
         )

@@ -5,12 +5,14 @@ robot.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from limslam_agent.logs.odometry_breaks import excursions_in_words, without_excursions
+from limslam_agent.logs.directions import apart
+from limslam_agent.logs.odometry_breaks import without_excursions
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
 
 MIN_RANGE = 0.02
@@ -61,70 +63,70 @@ def choose_beams(angles: FloatArray, beams_deg: Sequence[float] | None) -> list[
         return nearest_beams(angles, beams_deg)
     if len(angles) <= SPARSE_BEAMS:
         return list(range(len(angles)))
-    nearest = [int(np.argmin(_mismatch(angles, wanted))) for wanted in DEFAULT_BEAMS_DEG]
+    nearest = [int(np.argmin(apart(angles, wanted))) for wanted in DEFAULT_BEAMS_DEG]
     return list(dict.fromkeys(nearest))
 
 
-def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
+def nearest_beams(
+    angles: FloatArray, beams_deg: Sequence[float], beams: str = "the log's beams"
+) -> list[int]:
     """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError if
     no direction is given, no beam lies within 1 degree of a direction, or one beam is nearest to
     two directions.
     """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
-    chosen: list[int] = []
+    chosen: dict[int, float] = {}
     for wanted in beams_deg:
-        index = _nearest(angles, wanted)
+        if not math.isfinite(wanted):
+            raise ValueError(f"a beam angle must be a finite number, not {wanted}")
+        off = apart(angles, wanted)
+        index = int(np.argmin(off))
+        if off[index] > WORST_BEAM_MISMATCH_DEG + 1e-9:
+            known = ", ".join(f"{angle:g}" for angle in np.sort(np.round(angles, 1)))
+            few = len(angles) <= SPARSE_BEAMS
+            there = f"at {known}" if few else f"from {angles.min():g} to {angles.max():g}"
+            raise ValueError(
+                f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: {beams} "
+                f"are {there} deg"
+            )
         if index in chosen:
             # A reading that is used twice would count as two measurements.
-            other = beams_deg[chosen.index(index)]
             raise ValueError(
-                f"{other:g} deg and {wanted:g} deg are the same beam, at {angles[index]:g} deg"
+                f"{chosen[index]:g} deg and {wanted:g} deg are the same beam, at "
+                f"{angles[index]:g} deg"
             )
-        chosen.append(index)
-    return chosen
+        chosen[index] = wanted
+    return list(chosen)
 
 
 def pose_log(
     beams: Sequence[SensorSpec],
     time: FloatArray,
     odometry: FloatArray,
-    ranges: FloatArray,
-    has_scan: BoolArray,
     robot: RobotSpec | None = None,
     notes: Sequence[str] = (),
-    gaps: Sequence[int] = (),
-    columns: tuple[str, ...] = (),
-    header: tuple[str, ...] = (),
+    **fields: Any,
 ) -> RecordedLog:
-    """The log of a robot that recorded poses. Its arrays, the notes, the columns and the header are
-    as in a :class:`RecordedLog`.
+    """The log of a robot that recorded poses. Its arrays, the notes and all other fields are as in
+    a :class:`RecordedLog`.
 
     The headings of ``odometry`` may include full turns. Single poses that are off the path are
     replaced. Of a robot that is not described only a radius of 0.2 m is assumed. The frame of the
     estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a
     ValueError if a number is not finite, or the odometry jumps or has impossible coordinates.
     """
-    if np.any(np.abs(odometry) > FARTHEST):
-        row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
+    is_far = np.any(np.abs(odometry) > FARTHEST, axis=1)
+    if is_far.any():
+        row = int(np.argmax(is_far))
         raise ValueError(
             f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}"
         )
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
     odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
-    odometry, off = without_excursions(time, odometry)
-    return RecordedLog(
-        robot,
-        time,
-        ranges,
-        has_scan,
-        odometry=odometry,
-        notes=(*notes, *excursions_in_words(time, off)),
-        gaps=tuple(gaps),
-        columns=columns,
-        header=header,
-    )
+    odometry, replaced = without_excursions(time, odometry)
+    return RecordedLog(robot, time, odometry=odometry, notes=(*notes, *replaced), **fields)
 
 
 def check_max_range(max_range: float) -> None:
@@ -137,27 +139,6 @@ def check_max_range(max_range: float) -> None:
         raise ValueError(
             f"the largest range is at most {LARGEST_RANGE:g} m, not {max_range:g}: is it in metres?"
         )
-
-
-def _nearest(angles: FloatArray, wanted: float) -> int:
-    if not math.isfinite(wanted):
-        raise ValueError(f"a beam angle must be a finite number, not {wanted}")
-    mismatch = _mismatch(angles, wanted)
-    index = int(np.argmin(mismatch))
-    if mismatch[index] > WORST_BEAM_MISMATCH_DEG + 1e-9:
-        known = ", ".join(f"{angle:g}" for angle in np.sort(np.round(angles, 1)))
-        few = len(angles) <= SPARSE_BEAMS
-        there = f"at {known}" if few else f"from {angles.min():g} to {angles.max():g}"
-        raise ValueError(
-            f"no beam within {WORST_BEAM_MISMATCH_DEG:g} deg of {wanted:g} deg: the log's beams "
-            f"are {there} deg"
-        )
-    return index
-
-
-def _mismatch(angles: FloatArray, wanted: float) -> FloatArray:
-    """How far the angles (n,), deg, are from a wanted one, deg."""
-    return np.asarray(np.abs((angles - wanted + 180.0) % 360.0 - 180.0))
 
 
 def median_spacing(time: FloatArray) -> float:

@@ -44,6 +44,7 @@ unpacked. A file of one megabyte could become one of a gigabyte.
 # m between two events. A longer motion is an error of the log, unless the rest of it is a drive.
 LONGEST_JUMP = 50.0
 
+_MAY_BE_MISSING = {"odometry", "wheels", "yaw"}  # as NaN
 _LONGEST_TIME = 1e12  # s, 30,000 years; a float then still divides a millisecond
 
 
@@ -55,13 +56,15 @@ class LogError(ValueError):
 
 
 @contextmanager
-def naming(path: FilePath) -> Iterator[None]:
-    """Turn a ValueError or an OSError about a file into a LogError that names the file."""
+def naming(path: FilePath, errors: tuple[type[Exception], ...] = (ValueError,)) -> Iterator[None]:
+    """Turn a ValueError, or other errors about a file, and an OSError into a LogError that names
+    the file.
+    """
     try:
         yield
     except LogError:
         raise
-    except ValueError as error:
+    except errors as error:
         raise LogError(f"{fspath(path)}: {error}") from error
     except OSError as error:
         raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
@@ -151,34 +154,42 @@ class RecordedLog:
 
     def __post_init__(self) -> None:
         count = self.time.size
-        beams = len(self.robot.beams)
         if count == 0:
             raise ValueError("holds no events")
         if (self.odometry is None) == (self.wheels is None):
             raise ValueError("needs either odometry or wheels")
-        _check("time", self.time, (count,))
-        _check("ranges", self.ranges, (count, beams), finite=False)
-        _check("has_scan", self.has_scan, (count,))
-        _check("start_pose", self.start_pose, (3,))
-        for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
+        widths = {"odometry": 3, "wheels": 2, "true_pose": 3, "ranges": len(self.robot.beams)}
+        for name in ("time", "has_scan", "start_pose", "yaw", *widths):
+            array = getattr(self, name)
             if array is not None:
-                _check(name, np.nan_to_num(array, posinf=np.inf, neginf=-np.inf), (count, width))
+                shape = (count, widths[name]) if name in widths else (count,)
+                _check(name, array, (3,) if name == "start_pose" else shape)
         if self.wheels is not None and self.wheel_variances is None:
-            self._bridge(self.wheels)
-        if self.true_pose is not None:
-            _check("true_pose", self.true_pose, (count, 3))
-        if self.yaw is not None:
-            _check("yaw", np.where(np.isnan(self.yaw), 0.0, self.yaw), (count,))
-            if self.odometry is not None and _UNUSED_YAW not in self.notes:
-                object.__setattr__(self, "notes", (*self.notes, _UNUSED_YAW))
+            # The travel that is missing is taken from the speeds around.
+            travel, variances, notes = across(self.wheels, self.time, self.gaps, self.robot)
+            self._set(wheels=travel, wheel_variances=variances, notes=(*self.notes, *notes))
         if self.odometry is not None:
+            if self.yaw is not None and _UNUSED_YAW not in self.notes:
+                self._set(notes=(*self.notes, _UNUSED_YAW))
             self._break(self.odometry)
-        self._settle()
+        moved = path_moved(self._motions())
+        found = settled(self.ranges, self.has_scan, self.robot, moved, self.missing)
+        readings = np.where(self.has_scan[:, None], found.readings, self.robot.max_ranges)
+        self._set(
+            reported=self.ranges,
+            ranges=readings.astype(np.float32),
+            repeated=int(found.repeated.sum()),
+            readings_notes=found.notes,
+        )
+
+    def _set(self, **fields: object) -> None:
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
 
     def _break(self, odometry: FloatArray) -> None:
         """Find the breaks of the odometry. Raises a ValueError if it jumps elsewhere."""
         breaks = odometry_breaks(self.time, odometry, self.gaps)
-        object.__setattr__(self, "breaks", breaks)
+        self._set(breaks=breaks)
         jumps = np.hypot(*np.diff(odometry[:, :2], axis=0).T)
         jumps[[each.row - 1 for each in breaks]] = 0.0
         if np.any(jumps > LONGEST_JUMP):
@@ -186,28 +197,6 @@ class RecordedLog:
             raise ValueError(
                 f"odometry jumps by {jumps[row - 1]:.3g} m in row {row}: is it in metres?"
             )
-
-    def _bridge(self, wheels: FloatArray) -> None:
-        """Take the travel that is missing from the speeds around."""
-        travel, variances, notes = across(wheels, self.time, self.gaps, self.robot)
-        object.__setattr__(self, "wheels", travel)
-        object.__setattr__(self, "wheel_variances", variances)
-        object.__setattr__(self, "notes", (*self.notes, *notes))
-
-    def _settle(self) -> None:
-        """Turn what the sensors report into readings."""
-        found = settled(
-            self.ranges, self.has_scan, self.robot, path_moved(self._motions()), self.missing
-        )
-        readings = np.where(self.has_scan[:, None], found.readings, self.robot.max_ranges)
-        fields = {
-            "reported": self.ranges,
-            "ranges": readings.astype(np.float32),
-            "repeated": int(found.repeated.sum()),
-            "readings_notes": found.notes,
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
 
     def _motions(self) -> FloatArray:
         """The motion (n, 3) of each event since the event before, in the robot's frame, m, m, rad:
@@ -297,26 +286,20 @@ def read_npz(path: FilePath) -> RecordedLog:
         robot = _robot_of(arrays["robot"])
         check_beams(len(robot.beams))
         count = arrays["time"].size
-        beams = len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
             raise ValueError(
                 f"is the log of {robots} robots; only the log of one robot can be replayed"
             )
         _check("action", arrays["action"], (count, 2))
-        has_truth = "true_pose" in arrays
-        if has_truth:
-            _check("wall_seen", arrays["wall_seen"], (count, beams))
-        return RecordedLog(
-            robot=robot,
-            time=_floats("time", arrays),
-            ranges=_floats("ranges", arrays),
-            has_scan=np.ones(count, dtype=np.bool_),
-            start_pose=_floats("start_pose", arrays),
-            wheels=_floats("wheels", arrays),
-            true_pose=_floats("true_pose", arrays) if has_truth else None,
-            yaw=_floats("yaw", arrays) if "yaw" in arrays else None,
-        )
+        if "wall_seen" in arrays:
+            _check("wall_seen", arrays["wall_seen"], (count, len(robot.beams)))
+        fields: dict[str, Any] = {name: arrays[name] for name in _FIELDS if name in arrays}
+        for name, array in fields.items():
+            if array.dtype.kind not in "fiu":
+                raise ValueError(f"{name} does not hold numbers")
+            fields[name] = array.astype(np.float64)
+        return RecordedLog(robot, has_scan=np.ones(count, dtype=np.bool_), **fields)
 
 
 def write_npz(path: Path, robot: RobotSpec, **arrays: Any) -> None:
@@ -358,19 +341,17 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     number = unpacked = 0
     with naming(path), open_regular(Path(path)) as raw:
         largest = max(MOST_UNPACKED, LARGEST_RATIO * Path(path).stat().st_size)
-        packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
+        is_packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
         raw.seek(0)
-        file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
+        file: IO[bytes] = cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if is_packed else raw
         try:
-            is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
-            file.seek(0)
-            for line in _lines_of(file, is_utf16=is_utf16):
+            for line in _lines_of(file):
                 number += 1
                 if b"\0" in line or len(line) >= LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
                 unpacked += len(line)
-                if packed and unpacked > largest:
+                if is_packed and unpacked > largest:
                     raise ValueError(
                         f"line {number}: the gzip stream has more than {unpacked / 1e6:.0f} MB, "
                         f"{LARGEST_RATIO} times the size of the file: unpack it first"
@@ -381,10 +362,12 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
             raise ValueError(f"line {number + 1}: the gzip stream is damaged: {error}") from error
 
 
-def _lines_of(file: IO[bytes] | gzip.GzipFile, *, is_utf16: bool) -> Iterator[bytes]:
+def _lines_of(file: IO[bytes]) -> Iterator[bytes]:
     """The lines of a text, whatever ends them, with a newline. A text in UTF-16 becomes UTF-8."""
+    is_utf16 = file.read(2) in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+    file.seek(0)
     read_as, write_as = ("utf-16", "utf-8") if is_utf16 else ("latin-1", "latin-1")
-    with io.TextIOWrapper(cast("IO[bytes]", file), encoding=read_as, errors="replace") as text:
+    with io.TextIOWrapper(file, encoding=read_as, errors="replace") as text:
         while line := text.readline(LONGEST_LINE):
             yield line.encode(write_as, "replace")
 
@@ -402,19 +385,6 @@ def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
             raise LogError(f"{fspath(path)}: line {number}: {cut}{error}") from error
 
 
-def parse_range(field: bytes, what: str) -> float:
-    """A range from a field of a text. It may be infinite, NaN or negative, as
-    `limslam_agent.readings` defines. Raises a ValueError if the field is not a number. The message
-    begins with ``what``.
-    """
-    try:
-        return float(field)
-    except ValueError:
-        raise ValueError(
-            f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}"
-        ) from None
-
-
 def is_number(field: str | bytes) -> bool:
     """Whether a field of a text can be read as a number, finite or not."""
     try:
@@ -422,6 +392,16 @@ def is_number(field: str | bytes) -> bool:
     except ValueError:
         return False
     return True
+
+
+def parse_range(field: bytes, what: str) -> float:
+    """A range from a field of a text. It may be infinite, NaN or negative, as
+    `limslam_agent.readings` defines. Raises a ValueError if the field is not a number. The message
+    begins with ``what``.
+    """
+    if not is_number(field):
+        raise ValueError(f"{what} is not a number: {field.decode('ascii', 'replace')[:40]!r}")
+    return float(field)
 
 
 def parse_number(field: bytes, what: str) -> float:
@@ -435,6 +415,7 @@ def parse_number(field: bytes, what: str) -> float:
 
 
 _TRUTH = ("true_pose", "wall_seen")
+_FIELDS = ("time", "ranges", "start_pose", "wheels", "true_pose", "yaw")
 _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 
 
@@ -458,25 +439,19 @@ def _robot_of(text: NDArray[Any]) -> RobotSpec:
         raise ValueError(f"robot: {error}") from error
 
 
-def _floats(name: str, arrays: dict[str, NDArray[Any]]) -> FloatArray:
-    if arrays[name].dtype.kind not in "fiu":
-        raise ValueError(f"{name} does not hold numbers")
-    return arrays[name].astype(np.float64)
-
-
-def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bool = True) -> None:
+def _check(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
     """Refuse an array of another shape, and numbers that are not finite where they must be."""
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, not {shape}")
     if array.dtype.kind not in "fiub":
         raise ValueError(f"{name} does not hold numbers")
-    if not finite:
+    if name == "ranges":
         return
-    bad = ~np.isfinite(array)
+    bad = np.isinf(array) if name in _MAY_BE_MISSING else ~np.isfinite(array)
     if bad.any():
         raise ValueError(
             f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}"
         )
     largest = _LONGEST_TIME if name == "time" else LARGEST_COORDINATE
-    if np.abs(array, dtype=float).max(initial=0.0) > largest:
+    if np.any(np.abs(array, dtype=float) > largest):
         raise ValueError(f"{name} holds a number above {largest:g}: is it in metres or seconds?")

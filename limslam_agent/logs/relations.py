@@ -43,8 +43,8 @@ class Relations:
         """Which relations (k,) lie within the times (n,), s, of a log."""
         first = time.min() - OUTSIDE_BY
         last = time.max() + OUTSIDE_BY
-        early, late = (by(self.start_time, self.end_time) for by in (np.minimum, np.maximum))
-        return np.asarray((early >= first) & (late <= last))
+        times = np.array((self.start_time, self.end_time))
+        return np.asarray(((times >= first) & (times <= last)).all(axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def read_relations(path: FilePath) -> Relations:
     comments after ``#``. Raises a LogError if the file cannot be read, is cut short, has a line
     with other fields, or has no relations.
     """
-    rows: list[list[float]] = []
+    numbers: list[float] = []
 
     def add(line: bytes) -> None:
         fields = line.partition(b"#")[0].split()
@@ -70,15 +70,12 @@ def read_relations(path: FilePath) -> Relations:
             raise ValueError(
                 f"{len(fields)} fields where {len(_FIELDS)} are needed: {' '.join(_FIELDS)}"
             )
-        if fields:
-            rows.append(
-                [parse_number(field, name) for field, name in zip(fields, _FIELDS, strict=True)]
-            )
+        numbers.extend(map(parse_number, fields, _FIELDS))
 
     read_lines(path, add)
-    if not rows:
+    if not numbers:
         raise LogError(f"{fspath(path)}: has no relations")
-    table = np.array(rows)
+    table = np.array(numbers).reshape(-1, len(_FIELDS))
     return Relations(table[:, 0], table[:, 1], table[:, [2, 3, 7]])
 
 
@@ -123,14 +120,12 @@ def summary(*errors: RelationErrors) -> dict[str, float | int | None]:
     translation, rotation, is_loop = columns
     figures: dict[str, float | int | None] = {}
     for prefix, chosen in (("", np.ones_like(is_loop)), ("loop_", is_loop)):
+        count = int(chosen.sum())
         for unit, values in (("m", translation[chosen]), ("deg", np.degrees(rotation[chosen]))):
-            figures[f"{prefix}relation_error_{unit}"] = (
-                float(values.mean()) if len(values) else None
-            )
-            figures[f"{prefix}relation_error_std_{unit}"] = (
-                float(values.std()) if len(values) else None
-            )
-        figures[f"{prefix}relations"] = int(chosen.sum())
+            name = f"{prefix}relation_error"
+            figures[f"{name}_{unit}"] = float(values.mean()) if count else None
+            figures[f"{name}_std_{unit}"] = float(values.std()) if count else None
+        figures[f"{prefix}relations"] = count
     return {**figures, "relations_unmatched": sum(each.unmatched for each in errors)}
 
 

@@ -5,14 +5,14 @@ rosbags is an extra (``pip install 'limslam[ros]'``). It is imported when the fi
 ROS is not needed.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from os import fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes
+from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes, naming
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -31,8 +31,7 @@ _REMEDIES = {
 }
 
 
-@dataclass(frozen=True)
-class Message:
+class Message(NamedTuple):
     """One message: its topic, the time when the bag received it (s), and its content."""
 
     topic: str
@@ -63,25 +62,22 @@ class Bag:
         self.path = path
         self._reader = reader
         self.types: dict[str, str] = {}
-        self.counts: dict[str, int] = {}
+        self.counts = Counter[str]()
         for connection in reader.connections:
             if not isinstance(connection.topic, str) or not isinstance(connection.msgcount, int):
                 raise LogError(
                     f"{fspath(path)}: damaged: its list of topics is not one of names and counts"
                 )
             self.types[connection.topic] = connection.msgtype
-            self.counts[connection.topic] = (
-                self.counts.get(connection.topic, 0) + connection.msgcount
-            )
+            self.counts[connection.topic] += connection.msgcount
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
         """The messages of some topics in the order in which the bag received them. Raises a
         LogError if the bag is cut short or damaged.
         """
         connections = [each for each in self._reader.connections if each.topic in topics]
-        if not connections:
-            return
-        stream = self._reader.messages(connections)
+        # Without connections, rosbags reads all of them.
+        stream = self._reader.messages(connections) if connections else iter(())
         while True:
             with _one_line(self.path):
                 item = next(stream, None)
@@ -103,14 +99,15 @@ def open_bag(path: FilePath) -> Iterator[Bag]:
     LogError if it is another kind of file, is cut short or damaged, has a suffix that does not
     match its content, or rosbags is missing.
     """
-    _check_ending(path)
-    try:
-        from rosbags.highlevel import AnyReader
-        from rosbags.typesys import Stores, get_typestore
-    except ImportError as error:
-        raise LogError(
-            f"{fspath(path)}: bags are read with rosbags: pip install 'limslam[ros]' ({error})"
-        ) from error
+    with naming(path):
+        _check_ending(Path(path))
+        try:
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise ValueError(
+                f"bags are read with rosbags: pip install 'limslam[ros]' ({error})"
+            ) from error
     with _one_line(path):
         # Older ROS 2 bags do not hold the definitions of their types. The standard types have not
         # changed since.
@@ -125,32 +122,24 @@ def open_bag(path: FilePath) -> Iterator[Bag]:
             reader.close()
 
 
-def _check_ending(path: FilePath) -> None:
-    place = Path(path)
-    if place.is_dir():
-        if not (place / METADATA).is_file():
+def _check_ending(path: Path) -> None:
+    if path.is_dir():
+        if not (path / METADATA).is_file():
             hint = ""
-            if (place / "log.npz").is_file():
-                hint = f"; the log of this run is {place / 'log.npz'}"
-            elif _storage_suffix(place) is not None:
+            if (path / "log.npz").is_file():
+                hint = f"; the log of this run is {path / 'log.npz'}"
+            elif _storage_suffix(path) is not None:
                 hint = "; ros2 bag reindex writes it"
-            raise LogError(
-                f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}{hint}"
-            )
-        for file in place.iterdir():
+            raise ValueError(f"is a folder, but not a ROS 2 bag: it has no {METADATA}{hint}")
+        for file in path.iterdir():
             if not file.is_dir():
                 first_bytes(file, 0)  # a pipe in the folder would never end
         return
     ending = _ending_by_content(path)
     if ending is None:
-        raise LogError(
-            f"{fspath(path)}: is not a bag: its first bytes are not those of "
-            f"{', '.join(_MAGIC.values())}"
-        )
-    if place.suffix != ending:
-        raise LogError(
-            f"{fspath(path)}: has the content of a {ending} file, so its name must end in {ending}"
-        )
+        raise ValueError(f"is not a bag: its first bytes are not those of {', '.join(_REMEDIES)}")
+    if path.suffix != ending:
+        raise ValueError(f"has the content of a {ending} file, so its name must end in {ending}")
 
 
 def _ending_by_content(path: FilePath) -> str | None:
@@ -161,20 +150,18 @@ def _ending_by_content(path: FilePath) -> str | None:
 @contextmanager
 def _one_line(path: FilePath) -> Iterator[None]:
     """Turn any error of rosbags into a LogError. A damaged file can cause errors of any type."""
-    try:
-        yield
-    except LogError:
-        raise
-    except OSError as error:
-        raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # errors of rosbags, struct, sqlite or a compressor, and assertions
-        its_own = type(error).__module__.startswith("rosbags") and str(error)
-        reason = str(error) if its_own else f"{type(error).__name__} {error}"
-        what = "cut short, damaged, or of a kind that rosbags cannot read"
-        remedy = f"; {_REMEDIES[suffix]} may mend it" if (suffix := _storage_suffix(path)) else ""
-        raise LogError(
-            f"{fspath(path)}: {what}: {reason[:_LONGEST_REASON].strip()}{remedy}"
-        ) from error
+    with naming(path):
+        try:
+            yield
+        except (LogError, OSError):
+            raise
+        except Exception as error:  # of rosbags, struct, sqlite or a compressor, and assertions
+            its_own = type(error).__module__.startswith("rosbags") and str(error)
+            reason = str(error) if its_own else f"{type(error).__name__} {error}"
+            what = "cut short, damaged, or of a kind that rosbags cannot read"
+            suffix = _storage_suffix(path)
+            remedy = f"; {_REMEDIES[suffix]} may mend it" if suffix else ""
+            raise ValueError(f"{what}: {reason[:_LONGEST_REASON].strip()}{remedy}") from error
 
 
 def _storage_suffix(path: FilePath) -> str | None:

@@ -1,21 +1,22 @@
 """Reads ROS 1 bags, ROS 2 bags and MCAP files, and synchronises ranges and odometry by time."""
 
 from collections.abc import Sequence
-from os import fspath
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.logs.odometry_breaks import OdometryStream
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, check_max_range, pose_log
-from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog
+from limslam_agent.logs.recorded_log import FilePath, RecordedLog, naming
 from limslam_agent.logs.ros_bag import Bag, open_bag
-from limslam_agent.logs.ros_messages import stamp_of
 from limslam_agent.logs.ros_topics import Plan, Reader, Topics, plan_for
 from limslam_env.geometry import FloatArray
 
 # Errors of a message whose content does not match its type.
 _MISSHAPEN = (ValueError, TypeError, AttributeError, IndexError, OverflowError)
+
+Stream = tuple[FloatArray, FloatArray]
+"""Times (n,), s, and values (n, k) at these times."""
 
 
 def read_ros(
@@ -35,50 +36,41 @@ def read_ros(
     short or damaged; if it is unclear which topics to use; if a topic holds something other than a
     number where one is needed, its times step back, or the times of the topics do not overlap.
     """
-    with open_bag(path) as bag:
-        try:
-            check_max_range(max_range)
-            plan = plan_for(bag, topics or {}, beams_deg, max_range)
-            readers = [*plan.scans, *plan.moves]
-            return _merge(plan, _on_one_clock(readers, _read(bag, readers)))
-        except LogError:
-            raise
-        except _MISSHAPEN as error:
-            raise LogError(f"{fspath(path)}: {error}") from error
+    with open_bag(path) as bag, naming(path, _MISSHAPEN):
+        check_max_range(max_range)
+        plan = plan_for(bag, topics or {}, beams_deg, max_range)
+        readers = [*(reader for reader, _ in plan.scans), *plan.moves]
+        return _merge(plan, _on_one_clock(readers, _read(bag, readers)))
 
 
 def _read(bag: Bag, readers: list[Reader]) -> list[FloatArray]:
-    """A table for each reader: the stamps of the messages and the times of the bag, s, and what the
+    """A table for each reader: the times of the bag, s, the stamps of the messages, and what the
     reader reads.
     """
     rows: list[list[Any]] = [[] for _ in readers]
     for message in bag.messages({reader.topic for reader in readers}):
         for reader, row in zip(readers, rows, strict=True):
-            if reader.topic == message.topic and (part := reader.part(message.content)) is not None:
-                values = _values(reader, part, len(row))
-                row.append((stamp_of(part), message.bag_time, *values))
+            if reader.topic != message.topic:
+                continue
+            try:
+                values = reader.read(message.content)
+                if values is not None:
+                    row.append([message.bag_time, *map(float, values)])
+            except _MISSHAPEN as error:
+                raise ValueError(f"{reader.topic}: message {len(row) + 1}: {error}") from error
     for reader, row in zip(readers, rows, strict=True):
         if not row:
             raise ValueError(f"the topic {reader.topic} is empty")
-    return [np.array(row, dtype=np.float64) for row in rows]
+    return [np.array(row) for row in rows]
 
 
-def _values(reader: Reader, part: Any, number: int) -> list[float]:
-    try:
-        return [float(value) for value in reader.read(part)]
-    except _MISSHAPEN as error:
-        raise ValueError(f"{reader.topic}: message {number + 1}: {error}") from error
-
-
-def _on_one_clock(
-    readers: list[Reader], tables: list[FloatArray]
-) -> list[tuple[FloatArray, FloatArray]]:
-    """Times (n,) and values (n, k) of each reader, sorted by time."""
-    stamped = all((table[:, 0] > 0.0).all() for table in tables)
-    first = max(table[:, 0].min() for table in tables)
-    last = min(table[:, 0].max() for table in tables)
+def _on_one_clock(readers: list[Reader], tables: list[FloatArray]) -> list[Stream]:
+    """Times and values of each reader, sorted by time."""
+    stamps = [table[:, 1] for table in tables]
+    is_stamped = all((each > 0.0).all() for each in stamps)
     # Stamps of two machines, or of a clock that began at zero, cannot be compared.
-    clock = 0 if stamped and first <= last else 1
+    overlap = max(each.min() for each in stamps) <= min(each.max() for each in stamps)
+    clock = int(is_stamped and overlap)
     ordered = []
     for reader, table in zip(readers, tables, strict=True):
         steps = np.diff(table[:, clock])
@@ -92,25 +84,23 @@ def _on_one_clock(
     return ordered
 
 
-def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> RecordedLog:
-    scans = streams[: len(plan.scans)]
+def _merge(plan: Plan, streams: list[Stream]) -> RecordedLog:
     moves = streams[len(plan.scans) :]
-    time, ranges = _together(plan, scans)
+    time, ranges = _together(plan, streams[: len(plan.scans)])
     begin = max(times[0] for times, _ in moves)
     end = min(times[-1] for times, _ in moves)
-    inside = (time >= begin) & (time <= end)
-    if not inside.any():
-        when = (
-            f"ranges from {time[0]:.3f} to {time[-1]:.3f} s, odometry from {begin:.3f} to "
-            f"{end:.3f} s"
+    is_inside = (time >= begin) & (time <= end)
+    if not is_inside.any():
+        raise ValueError(
+            "the times of ranges and odometry do not overlap: ranges from "
+            f"{time[0]:.3f} to {time[-1]:.3f} s, odometry from {begin:.3f} to {end:.3f} s"
         )
-        raise ValueError(f"the times of ranges and odometry do not overlap: {when}")
-    time = time[inside]
-    ranges = ranges[inside]
+    time = time[is_inside]
+    ranges = ranges[is_inside]
     heading = moves[-1][1]
     heading[:, -1] = np.unwrap(heading[:, -1])
     times = min((times for times, _ in moves), key=len)
-    stream = OdometryStream.of(times, _poses_at(moves, times))
+    stream = OdometryStream(times, _poses_at(moves, times))
     odometry = stream.at(time) if len(moves) == 1 else _poses_at(moves, time)
     silent = stream.silent_times(time, ranges)
     kept = ~silent.hold(time)
@@ -120,22 +110,20 @@ def _merge(plan: Plan, streams: list[tuple[FloatArray, FloatArray]]) -> Recorded
         plan.beams,
         time[kept],
         odometry[kept],
-        ranges[kept],
-        np.ones(int(kept.sum()), dtype=np.bool_),
         notes=(*stream.notes, *silent.notes(time)),
-        gaps=silent.events_after(time[kept]),
+        ranges=ranges[kept],
+        has_scan=np.ones(int(kept.sum()), dtype=np.bool_),
+        gaps=tuple(silent.events_after(time[kept])),
     )
 
 
-def _poses_at(moves: list[tuple[FloatArray, FloatArray]], time: FloatArray) -> FloatArray:
+def _poses_at(moves: list[Stream], time: FloatArray) -> FloatArray:
     """Odometry (n, 3) at times (n,), s, by linear interpolation. Headings do not jump."""
     columns = [np.interp(time, times, column) for times, values in moves for column in values.T]
     return np.column_stack(columns)
 
 
-def _together(
-    plan: Plan, scans: list[tuple[FloatArray, FloatArray]]
-) -> tuple[FloatArray, FloatArray]:
+def _together(plan: Plan, scans: list[Stream]) -> Stream:
     """Times of the slowest sensor (n,), and all readings at these times (n, n_beams).
 
     Of each other sensor the reading nearest in time is taken, at most half a period of the slowest
@@ -143,18 +131,18 @@ def _together(
     """
     time, _ = min(scans, key=lambda scan: len(scan[0]))
     apart = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else np.inf
-    whole = np.ones(len(time), dtype=np.bool_)
-    parts = []
-    for reader, (times, values) in zip(plan.scans, scans, strict=True):
+    is_whole = np.ones(len(time), dtype=np.bool_)
+    ranges = np.zeros((len(time), len(plan.beams)))
+    for (reader, places), (times, values) in zip(plan.scans, scans, strict=True):
         nearest = _nearest(times, time)
-        met = np.abs(times[nearest] - time) <= apart + 1e-6
-        if 2 * np.count_nonzero(met) < len(time):
+        is_met = np.abs(times[nearest] - time) <= apart + 1e-6
+        if 2 * np.count_nonzero(is_met) < len(time):
             raise ValueError(f"{reader.topic} has no messages for most of the time: leave it out")
-        whole &= met
-        parts.append(values[nearest])
-    if not whole.any():
+        is_whole &= is_met
+        ranges[:, places] = values[nearest]
+    if not is_whole.any():
         raise ValueError("the sensors have no common times")
-    return time[whole], np.column_stack(parts)[whole][:, plan.columns]
+    return time[is_whole], ranges[is_whole]
 
 
 def _nearest(times: FloatArray, wanted: FloatArray) -> Any:

@@ -43,7 +43,7 @@ def pose_of(message: Any) -> tuple[float, float, float]:
         turn = message.transform.rotation
     else:
         # A pose with covariance is one level deeper.
-        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        pose = getattr(message.pose, "pose", message.pose)
         place = pose.position
         turn = pose.orientation
     x = float(place.x)
@@ -143,11 +143,8 @@ class Mounts:
             place = np.array([float(shift.x), float(shift.y), float(shift.z)])
             if not np.isfinite(place).all():
                 raise ValueError(f"the place of {each.child_frame_id!r} is not finite")
-            self._parents[bare(each.child_frame_id)] = (
-                bare(each.header.frame_id),
-                rotation,
-                place,
-            )
+            parent = bare(each.header.frame_id)
+            self._parents[bare(each.child_frame_id)] = (parent, rotation, place)
 
     def find(self, frame: str) -> tuple[FloatArray, FloatArray] | None:
         """Rotation (3, 3) and position (3,), m, of a frame on the body. None if the frame is
@@ -156,8 +153,6 @@ class Mounts:
         frame = bare(frame)
         rotation = np.eye(3)
         place = np.zeros(3)
-        if frame == self._base:
-            return rotation, place
         passed: set[str] = set()
         while frame in self._parents and frame != self._base:
             if frame in passed:
@@ -166,7 +161,7 @@ class Mounts:
             frame, turn, shift = self._parents[frame]
             rotation = turn @ rotation
             place = shift + turn @ place
-        return (rotation, place) if passed else None
+        return (rotation, place) if passed or frame == self._base else None
 
 
 def beam_on_body(

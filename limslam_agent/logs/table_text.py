@@ -11,16 +11,15 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from datetime import datetime
 from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.logs.columns import UNITS, Column, column_of
-from limslam_agent.logs.recorded_log import MOST_BEAMS, is_number
-from limslam_agent.logs.table_layout import DOTS, columns_of, completeness
+from limslam_agent.logs.columns import SCALE_OF, Column, Role, column_of
+from limslam_agent.logs.recorded_log import MOST_BEAMS, is_number, parse_number, parse_range
+from limslam_agent.logs.table_layout import DOTS, Header, Layout, columns_of, completeness
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.messages import counted, described
 
@@ -39,7 +38,7 @@ _HEADER_WITHIN = 1000  # lines
 _MOST_BYTES = 1 << 22  # in which the header is looked for
 _COMPLETE = 3  # kinds of columns of a header that names all that is needed
 _DIGIT = re.compile(rb"\d")
-_UNIT = "|".join(map(re.escape, (unit for units in UNITS.values() for unit in units)))
+_UNIT = "|".join(map(re.escape, SCALE_OF))
 _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
 _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
@@ -49,50 +48,21 @@ _BLANK = b' \t\r\n,;"'
 _MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
 
 # A semicolon goes first: a comma beside it is a decimal mark.
-_SEPARATORS = (";", ",", "\t")
+_SEPARATORS = (b";", b",", b"\t")
 
-
-@dataclass(frozen=True)
-class Header:
-    """The names of the columns of a table.
-
-    Attributes
-    ----------
-    columns
-        What each column holds.
-    separator
-        What separates the columns. None for spaces.
-    text
-        The line itself, which is skipped where it is repeated. Empty without such a line.
-    skipped
-        How many lines of text stand before it.
-    is_chosen
-        Whether the columns are those of ``--columns``.
-    """
-
-    columns: tuple[Column, ...]
-    separator: bytes | None
-    text: bytes = b""
-    skipped: int = 0
-    is_chosen: bool = False
-
-    @property
-    def source(self) -> str:
-        """What names the columns, in messages."""
-        return "--columns" if self.is_chosen else "the header"
+Line = tuple[int, bytes]
+"""A line with its number, counted from 1."""
 
 
 def split_header(
-    lines: Iterator[tuple[int, bytes]],
-    chosen: Sequence[str] = (),
-    beams_deg: Sequence[float] = (),
-) -> tuple[Header, Iterator[tuple[int, bytes]]]:
-    """The header of a table, and the numbered lines after it.
+    lines: Iterator[Line], chosen: Sequence[str] = (), beams_deg: Sequence[float] = ()
+) -> tuple[Header, Iterator[Line]]:
+    """The header of a table, and the lines after it.
 
     Parameters
     ----------
     lines
-        The lines of the file with their numbers.
+        The lines of the file.
     chosen
         Names of the columns in place of those of the file, or nothing.
     beams_deg
@@ -110,7 +80,7 @@ def split_header(
         If there is neither a header nor a choice, or a choice is no list of columns.
     """
     lines = ((number, _MONITOR_TIME.sub(b"", line)) for number, line in lines)
-    seen: list[tuple[int, bytes]] = []
+    seen: list[Line] = []
     size = 0
     for number, line in lines:
         seen.append((number, line))
@@ -118,53 +88,38 @@ def split_header(
         if chosen:
             if _is_row(line, len(chosen)):
                 return _chosen_header(seen, chosen), chain(seen[-1:], lines)
-        elif completeness(_columns_in(line)) == _COMPLETE:
+        elif _is_complete(line):
             return _header(seen), lines
         if number >= _HEADER_WITHIN or size > _MOST_BYTES:
             break
     if chosen:
         return _chosen_header(seen, chosen), chain(seen[1:], lines)
-    return _incomplete_header(seen, lines, beams_deg)
+    last = _most_like_a_header(seen, beams_deg)
+    return _header(seen[: last + 1]), chain(seen[last + 1 :], lines)
 
 
-def has_rows_of_numbers(lines: Iterable[tuple[int, bytes]]) -> bool:
+def has_rows_of_numbers(lines: Iterable[Line]) -> bool:
     """Whether a text is a table: one of its first lines is a complete header, or a row of numbers.
     Lines of other logs begin with a word.
     """
     for number, line in lines:
         if number > _HEADER_WITHIN:
             return False
-        if _is_row(line) or completeness(_columns_in(line)) == _COMPLETE:
+        if _is_row(line) or _is_complete(line):
             return True
     return False
 
 
 class Rows:
-    """The numbers of the rows read so far, in packed arrays.
-
-    Parameters
-    ----------
-    header
-        The names of the columns.
-    needed
-        Places of the columns that need a number in each row. The first is that of the time.
-    optional
-        Places of other columns that are used. They may be empty.
-    ranges
-        Places of all columns of ranges, used or not.
+    """The numbers of the rows read so far, in packed arrays: those of the columns in ``layout``, of
+    which the odometry needs a number in each row, and those of the chosen ranges at some places.
     """
 
-    def __init__(
-        self,
-        header: Header,
-        needed: Sequence[int],
-        optional: Sequence[int],
-        ranges: Sequence[int],
-    ) -> None:
+    def __init__(self, header: Header, layout: Layout, ranges: Sequence[int]) -> None:
         self.header = header
-        self.ranges = ranges
-        self.needed = needed
-        self.optional = optional
+        self.layout = layout
+        self.needed = list(layout.motion.values())
+        self.optional = [*layout.inertial.values(), *ranges]
         self.values = array("d")
         self.lines = array("q")
         self.has_scan = bytearray()
@@ -184,14 +139,16 @@ class Rows:
             self.repeated += 1
             return
         try:
-            values, has_scan = self._values(text)
+            values = self._values(text)
         except ValueError as error:
             self.is_cut = not line.endswith(b"\n")
-            self.add_damage(f"line {number}: {error}, in {_quoted(text)}")
+            shown = text.decode("utf-8", "replace")
+            end = "..." if len(shown) > _LONGEST_QUOTE else ""
+            quoted = described(f"{shown[:_LONGEST_QUOTE]}{end}")
+            self.add_damage(f"line {number}: {error}, in {quoted}")
             return
         self.previous = text
         self.values.extend(values)
-        self.has_scan.append(has_scan)
         self.lines.append(number)
 
     def add_damage(self, words: str, count: int = 1) -> None:
@@ -203,19 +160,21 @@ class Rows:
         """Whether the damaged lines, and so many more, may be left out. A last line that is cut
         does not count.
         """
-        count = self.damaged + more
+        count = self.damaged + more - self.is_cut
         lines = self.damaged + len(self.lines)
-        return count - self.is_cut <= MOST_DAMAGED * lines and len(self.lines) > more
+        return count <= MOST_DAMAGED * lines and len(self.lines) > more
 
     def check(self) -> None:
         """Raise a ValueError that quotes the first damaged line if there are too many of them."""
         if not self.damaged or self.allows():
             return
-        lines = self.damaged + len(self.lines)
-        share = f"{self.damaged} of {counted(lines, 'line')} cannot be read as rows of the table"
+        lines = counted(self.damaged + len(self.lines), "line")
         is_helped = not (self.lines or self.header.is_chosen)
         columns = "; or --columns names the columns in place of the header" if is_helped else ""
-        raise ValueError(f"{self.first_damage}. {share}: {NO_ROW}{columns}")
+        raise ValueError(
+            f"{self.first_damage}. {self.damaged} of {lines} cannot be read as rows of the table: "
+            f"{NO_ROW}{columns}"
+        )
 
     def arrays(self) -> tuple[FloatArray, BoolArray, NDArray[np.int64]]:
         """The numbers (n, needed and optional columns), whether each row has a scan (n,), and the
@@ -228,47 +187,56 @@ class Rows:
             np.array(self.lines, dtype=np.int64),
         )
 
-    def _values(self, text: bytes) -> tuple[list[float], bool]:
-        """The numbers of a row, and whether it has a scan. Raises a ValueError if it is no row."""
+    def _values(self, text: bytes) -> list[float]:
+        """The numbers of a row. Raises a ValueError if it is no row."""
         fields = self._fields_of(text)
-        is_short = len(fields) < len(self.header.columns)
-        silent = is_short or all(fields[place] == NO_SCAN for place in self.ranges)
-        values = [self._seconds(fields[self.needed[0]])]
-        values += [_finite(fields[place], self.header.columns[place]) for place in self.needed[1:]]
+        columns = self.header.columns
+        is_short = len(fields) < len(columns)
+        time, *others = self.needed
+        values = [self._seconds(fields[time])]
+        values += [parse_number(fields[place], str(columns[place].role)) for place in others]
         if is_short:
-            return values + [math.nan] * len(self.optional), False
-        return values + [_reading(fields[place]) for place in self.optional], not silent
+            values += [math.nan] * len(self.optional)
+        else:
+            values += [_reading(fields[place]) for place in self.optional]
+        is_silent = is_short or all(fields[place] == NO_SCAN for place in self.layout.ranges)
+        self.has_scan.append(not is_silent)
+        return values
 
     def _fields_of(self, text: bytes) -> list[bytes]:
         """The fields of a row, without empty ones after its end. They are fewer than the columns
         where a mark stands once in place of the ranges.
         """
-        fields = [field.strip() for field in text.split(self.header.separator)]
-        if self.header.separator != b",":
+        separator = self.header.separator
+        fields = [field.strip() for field in text.split(separator)]
+        if separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
         count = len(self.header.columns)
         _trim(fields, count)
-        first = min(self.ranges)
-        if fields[-1] == NO_SCAN and max(self.needed) < len(fields) - 1 <= first:
-            return fields
-        if len(fields) == count:
+        is_marked = max(self.needed) < len(fields) - 1 <= min(self.layout.ranges)
+        if len(fields) == count or (fields[-1] == NO_SCAN and is_marked):
             return fields
         # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
-        is_doubled = self.header.separator == b"," and 1.3 * count < len(fields) <= 2 * count
-        hint = (
-            ": if commas are decimal marks here, separate the columns by ; or tabs"
-            if is_doubled
-            else ""
-        )
-        names = "--columns names" if self.header.is_chosen else "the header names"
-        raise ValueError(f"{counted(len(fields), 'column')} where {names} {count}{hint}")
+        is_doubled = separator == b"," and 1.3 * count < len(fields) <= 2 * count
+        decimal = ": if commas are decimal marks here, separate the columns by ; or tabs"
+        hint = decimal if is_doubled else ""
+        names = f"{self.header.source} names {count}{hint}"
+        raise ValueError(f"{counted(len(fields), 'column')} where {names}")
 
     def _seconds(self, field: bytes) -> float:
-        """The time in a field: a number, or a date and a time of the calendar, s."""
+        """The time in a field, s: a number, or one of the calendar like ``2026-11-28T14:03:05.25Z``
+        or ``14:03:05.25``.
+        """
         if is_number(field):
-            return _finite(field, self.header.columns[self.needed[0]])
+            return parse_number(field, Role.TIME)
         self.has_calendar = True
-        return _calendar_seconds(field.decode("ascii", "replace"))
+        text = field.decode("ascii", "replace")
+        date = "" if "-" in text.lstrip("-")[:8] or "/" in text else "1970-01-01T"
+        try:
+            moment = datetime.fromisoformat(date + text.replace("/", "-"))
+        except ValueError:
+            return parse_number(field, Role.TIME)
+        return (moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()
 
 
 def _trim(fields: list[bytes], count: int) -> None:
@@ -277,45 +245,16 @@ def _trim(fields: list[bytes], count: int) -> None:
         fields.pop()
 
 
-def _calendar_seconds(text: str) -> float:
-    """Seconds of a time like ``2026-11-28T14:03:05.25Z`` or ``14:03:05.25``. Raises a ValueError
-    for another text.
-    """
-    date = "" if "-" in text.lstrip("-")[:8] or "/" in text else "1970-01-01T"
-    try:
-        found = datetime.fromisoformat(date + text.replace("/", "-"))
-    except ValueError:
-        raise ValueError(f"t is not a number: {text[:40]!r}") from None
-    zero = datetime(1970, 1, 1, tzinfo=found.tzinfo)
-    return (found - zero).total_seconds()
-
-
-def _finite(field: bytes, column: Column) -> float:
-    try:
-        value = float(field)
-    except ValueError:
-        shown = field.decode("ascii", "replace")[:40]
-        raise ValueError(f"{column.role} is not a number: {shown!r}") from None
-    if not math.isfinite(value):
-        raise ValueError(
-            f"{column.role} is {field.decode('ascii', 'replace')[:40]}, not a finite number"
-        )
-    return value
-
-
 def _reading(field: bytes) -> float:
     """A number that may be missing: NaN where the field is empty, or is a word such as ``null`` or
     ``out of range``.
     """
+    if not is_number(field) and not _DIGIT.search(field):
+        return math.nan
     try:
-        return float(field or b"nan")
-    except ValueError:
-        if not _DIGIT.search(field):
-            return math.nan
-        shown = field.decode("ascii", "replace")[:40]
-        raise ValueError(
-            f"a range is not a number: {shown!r}; an empty field or nan is no reading"
-        ) from None
+        return parse_range(field, "a range")
+    except ValueError as error:
+        raise ValueError(f"{error}; an empty field or nan is no reading") from None
 
 
 def _names(line: bytes) -> tuple[list[str], bytes | None]:
@@ -327,25 +266,30 @@ def _names(line: bytes) -> tuple[list[str], bytes | None]:
         text = text.partition(" (")[0]
     elif not _ANY_UNIT.search(text):
         text = _REMARK.sub("", text)
-    separator = next((mark for mark in _SEPARATORS if mark in text), None)
-    names = [name.strip() for name in text.rstrip(separator).split(separator)]
-    if separator == "\t" and "" in names[1:]:  # of an index, the first name is empty
-        separator = None
-        names = text.split()
-    return (names if text else []), separator.encode() if separator else None
+    separator = _separator_of(text.encode())
+    mark = None if separator is None else separator.decode()
+    names = [name.strip() for name in text.rstrip(mark).split(mark)]
+    if separator == b"\t" and "" in names[1:]:  # of an index, the first name is empty
+        return text.split(), None
+    return (names if text else []), separator
 
 
-def _columns_in(line: bytes) -> tuple[Column, ...]:
+def _columns_in(line: bytes) -> list[Column]:
     """What the columns of a line hold, if it is a header. Empty for a line that is none, such as
     one of a CARMEN log, which has a number after its first word.
     """
     if any(is_number(word) for word in line.split(None, 3)[:3]):
-        return ()
+        return []
     names, _ = _names(line)
-    return tuple(column_of(name) for name in names[:MOST_BEAMS] if name != DOTS)
+    return [column_of(name) for name in names[:MOST_BEAMS] if name != DOTS]
 
 
-def _header(seen: Sequence[tuple[int, bytes]]) -> Header:
+def _is_complete(line: bytes) -> bool:
+    """Whether a line is a header that names all that is needed."""
+    return completeness(_columns_in(line)) == _COMPLETE
+
+
+def _header(seen: Sequence[Line]) -> Header:
     """The header in the last of these lines. Raises a ValueError that names the line."""
     number, line = seen[-1]
     names, separator = _names(line)
@@ -356,47 +300,39 @@ def _header(seen: Sequence[tuple[int, bytes]]) -> Header:
     return Header(columns, separator, _text_of(line), _count_of_text(seen[:-1]))
 
 
-def _chosen_header(seen: Sequence[tuple[int, bytes]], chosen: Sequence[str]) -> Header:
+def _chosen_header(seen: Sequence[Line], chosen: Sequence[str]) -> Header:
     """The chosen columns, for a table whose first row is the last of these lines."""
     columns = columns_of(chosen)
-    if not seen:
-        return Header(columns, b",", is_chosen=True)
-    separator = _separator_of_row(_text_of(seen[-1][1]), len(columns))
-    before = _text_of(seen[-2][1]) if len(seen) > 1 else b""
+    *before, row = [_text_of(line) for _, line in seen] or [b","]
     skipped = max(_count_of_text(seen[:-1]) - 1, 0)
-    return Header(columns, separator, before, skipped, is_chosen=True)
+    header = before[-1] if before else b""
+    separator = _separator_of(row, len(columns))
+    return Header(columns, separator, header, skipped, is_chosen=True)
 
 
-def _incomplete_header(
-    seen: list[tuple[int, bytes]],
-    lines: Iterator[tuple[int, bytes]],
-    beams_deg: Sequence[float],
-) -> tuple[Header, Iterator[tuple[int, bytes]]]:
-    """The line that is most like a header, for the message about what it lacks."""
+def _most_like_a_header(seen: list[Line], beams_deg: Sequence[float]) -> int:
+    """The place of the line that is most like a header, for the message about what it lacks."""
+    counts = [completeness(_columns_in(line)) for _, line in seen]
     texts = [
-        place
-        for place, (_, line) in enumerate(seen)
-        if _count_of_text([seen[place]]) or completeness(_columns_in(line)) > 1
+        place for place, line in enumerate(seen) if _count_of_text([line]) or counts[place] > 1
     ]
     if not texts:
         raise ValueError("is empty: it has no header, such as t,left,right,r_90,r_0,...")
-    rows = [place for place in texts if _is_row(seen[place][1])]
-    first = rows[0] if rows else len(seen)
+    first = next((place for place in texts if _is_row(seen[place][1])), len(seen))
     before = [place for place in texts if place < first]
-    if not before:
-        text = _text_of(seen[first][1])
-        count = len(text.split(_separator_of_row(text)))
-        motion = "t,x,y,theta" if count == len(beams_deg) + 4 else "t,left,right"
-        beams = [f",r_{round(degrees, 1):g}" for degrees in beams_deg]
-        ranges = "".join(beams) or ",r_90" + ",-" * max(count - 4, 0)
-        raise ValueError(
-            f"line {seen[first][0]}: has no header for {counted(count, 'column')}: --columns "
-            f"{motion}{ranges} names them, in the order of the file and with - for one that is not "
-            "used"
-        )
-    counts = [completeness(_columns_in(seen[place][1])) for place in before]
-    best = before[-1] if not any(counts) else before[counts.index(max(counts))]
-    return _header(seen[: best + 1]), chain(seen[best + 1 :], lines)
+    if before:
+        most = max(counts[place] for place in before)
+        return next(place for place in before if counts[place] == most) if most else before[-1]
+    number, line = seen[first]
+    text = _text_of(line)
+    count = len(text.split(_separator_of(text)))
+    motion = "t,x,y,theta" if count == len(beams_deg) + 4 else "t,left,right"
+    beams = "".join(f",r_{round(degrees, 1):g}" for degrees in beams_deg)
+    ranges = beams or ",r_90" + ",-" * max(count - 4, 0)
+    raise ValueError(
+        f"line {number}: has no header for {counted(count, 'column')}: --columns {motion}{ranges} "
+        "names them, in the order of the file and with - for one that is not used"
+    )
 
 
 def _is_row(line: bytes, count: int | None = None) -> bool:
@@ -406,13 +342,11 @@ def _is_row(line: bytes, count: int | None = None) -> bool:
     text = _text_of(line)
     if not text.strip() or text.lstrip()[:1] not in b"+-.0123456789":
         return False
-    separator = _separator_of_row(text, count)
-    fields = [field.strip().replace(b",", b".") for field in text.split(separator)]
+    fields = [field.strip().replace(b",", b".") for field in text.split(_separator_of(text, count))]
     numbers = [not field or field == NO_SCAN or is_number(field) for field in fields]
     if count is not None:
         _trim(fields, count)
-        is_silent = len(fields) < count and fields[-1] == NO_SCAN
-        if len(fields) != count and not is_silent:
+        if len(fields) > count or (len(fields) < count and fields[-1] != NO_SCAN):
             return False
     return len(fields) > 2 and sum(numbers) > 0.5 * len(fields)
 
@@ -422,19 +356,14 @@ def _text_of(line: bytes) -> bytes:
     return line.strip(b" \r\n\v\f").replace(b'"', b"")
 
 
-def _separator_of_row(text: bytes, count: int | None = None) -> bytes | None:
-    """What separates the fields of a row; None for spaces, or tabs in any number."""
-    separator = next((mark.encode() for mark in _SEPARATORS if mark.encode() in text), None)
+def _separator_of(text: bytes, count: int | None = None) -> bytes | None:
+    """What separates the fields of a line; None for spaces, or tabs in any number."""
+    separator = next((mark for mark in _SEPARATORS if mark in text), None)
     if separator == b"\t" and count not in (None, len(text.split(separator))):
         return None
     return separator
 
 
-def _count_of_text(lines: Sequence[tuple[int, bytes]]) -> int:
+def _count_of_text(lines: Sequence[Line]) -> int:
     """How many of these lines are neither empty, separators included, nor remarks."""
     return sum(bool(line.strip(_BLANK)) and not line.startswith(b"#") for _, line in lines)
-
-
-def _quoted(text: bytes) -> str:
-    shown = text.decode("utf-8", "replace")
-    return described(shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}...")

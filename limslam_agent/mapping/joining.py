@@ -326,7 +326,7 @@ class JoiningMapper(Mapper):
         """
         own_maps = [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps
         grid = self.grid
-        shared = KnownPlaces(self.slam.segments, grid, self.slam.sensor)
+        shared = KnownPlaces.of(self.slam, grid)
         is_complete = not leads_to_unseen(
             grid, self.poses[0], self.config.policy.min_frontier
         ).any()

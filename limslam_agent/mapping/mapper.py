@@ -1,6 +1,6 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost
+What a step does within a frame is in :mod:`limslam_agent.mapping.frames`, and how a lost
 robot changes frames in
 :mod:`limslam_agent.mapping.recovery`.
 """
@@ -197,6 +197,7 @@ class Mapper:
         self._starts = starts
         self._restarts = 0
         self._is_finished = False
+        self.slam_ms = 0.0
         self._begin(LineSlam(self.robot, self.config, starts))
 
     def _begin(self, slam: Estimator) -> None:
@@ -212,7 +213,6 @@ class Mapper:
         self._waiting = WaitingTravel(len(self._starts), self.robot)
         self.prior_frame: FloatArray | None = None
         self._set_odometry(self._starts.copy())
-        self.slam_ms = 0.0
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot.
@@ -239,8 +239,9 @@ class Mapper:
         waiting: list[Sequence[Observation]] = [copied(observations)]
         while waiting:
             first_steps = self._first_steps
+            frames = self._frames
             self._process(waiting.pop(0))
-            spent += self.slam_ms
+            spent += frames.slam_ms
             if self._first_steps is not first_steps:
                 waiting[:0] = first_steps
         self.slam_ms = spent
@@ -258,7 +259,6 @@ class Mapper:
             self._lookup.drive(slam.increments[0])
         if self._is_to_restart(reported):
             self._restarts += 1
-            self.slam_ms = self._frames.slam_ms
             self._begin(self._frames.slam_at(self._starts))
             return
         if self._recovery is not None and "wheels" in observations[0]:
@@ -268,7 +268,6 @@ class Mapper:
         if self._lookup is not None and self._lookup.is_due:
             self._look_up(self._lookup)
         self._forget()
-        self.slam_ms = self._frames.slam_ms
 
     def finish(self) -> None:
         """Use the readings that are still buffered. Call this after the last step; a second call
@@ -295,7 +294,7 @@ class Mapper:
         """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame
         has another SLAM.
         """
-        return self._frames.present.slam
+        return self._frames.slam
 
     @property
     def drive(self) -> Drive:
@@ -338,7 +337,7 @@ class Mapper:
                 front.ranges,
                 segments,
                 grid,
-                np.delete(poses, number, axis=0) if len(poses) > 1 else poses[:0],
+                np.delete(poses, number, axis=0),
                 status=statuses[number],
                 frame=self.frame,
                 map_number=self.map_number,
@@ -366,7 +365,7 @@ class Mapper:
     @property
     def statuses(self) -> list[Status]:
         """Whether the estimate of each robot can be trusted."""
-        found = [monitor.status for monitor in self._frames.present.monitors]
+        found = [monitor.status for monitor in self._frames.monitors]
         found = found if self._recovery is None else [self._recovery.status(found[0])]
         is_open = self._lookup is not None and self._lookup.is_open
         return [NOT_YET_FOUND] if is_open and found[0].level == "ok" else found
@@ -378,7 +377,7 @@ class Mapper:
         if recovery is None:
             return PlaceHistory()
         events = (() if self._lookup is None else self._lookup.events) + recovery.events
-        is_suspicious = self._frames.present.monitors[0].mistaken >= LIMIT
+        is_suspicious = self._frames.monitors[0].mistaken >= LIMIT
         return PlaceHistory(events, self._unplaced, is_suspicious)
 
     @property
@@ -387,7 +386,7 @@ class Mapper:
         is lost.
         """
         covariances = self.slam.covariances
-        for number, monitor in enumerate(self._frames.present.monitors):
+        for number, monitor in enumerate(self._frames.monitors):
             if monitor.status.level == "lost":
                 covariances[number] += monitor.added_covariance
         return (
@@ -397,7 +396,7 @@ class Mapper:
     @property
     def grid(self) -> GridView:
         """The occupancy grid that all robots share. Later steps do not change it."""
-        view = self._frames.present.grid.view
+        view = self._frames.grid.view
         values = view.values.copy()
         values.setflags(write=False)
         return GridView(view.low, view.cell, values)
@@ -478,9 +477,9 @@ class Mapper:
         """Forget the steps of the drives that nobody asks for any more."""
         if self.keeps_drives or (self._lookup is not None and self._lookup.is_open):
             return
-        present = self._frames.present
-        for drive, monitor in zip(self._frames.drives, present.monitors, strict=True):
-            first = min(monitor.first, present.renewal.first)
+        frames = self._frames
+        for drive, monitor in zip(self._frames.drives, frames.monitors, strict=True):
+            first = min(monitor.first, frames.renewal.first)
             if self._recovery is not None and "wheels" in drive.scans[-1].observation:
                 first = min(first, self._recovery.begin)
             drive.forget_before(first)

@@ -124,12 +124,12 @@ class Recovery:
         """Keep the latest step, and see to it that a lost robot goes on in a local frame and finds
         its place again.
         """
-        own = self._frames.present.monitors[0]
+        own = self._frames.monitors[0]
         self._note(own)
         if self._origin is not None and self._drive.end - self.begin > LONGEST_ABSENCE:
             self._stay()
         if own.loss is not None and self._still_fits(own):
-            self._frames.present.reset_monitors()
+            self._frames.reset_monitors()
         elif own.loss is not None:
             self._lose(own.loss, own.jump)
         elif found := self._seek_elsewhere(own):
@@ -165,18 +165,16 @@ class Recovery:
         if not isinstance(placed, Placed):
             return
         placed.search.wait()
-        present = self._frames.present
+        frames = self._frames
         driven = placed.driven - placed.at
-        if present.monitors[0].by_readings.level != "ok" or driven < CONFIRMED:
+        if frames.monitors[0].by_readings.level != "ok" or driven < CONFIRMED:
             return
         if not placed.has_drifted:
-            grid = present.grid.view
-            least = self._frames.config.policy.min_frontier
+            grid = frames.grid.view
+            least = frames.config.policy.min_frontier
             if driven < FAR_CONFIRMED and frontier_cells(grid, least).any():
                 return
-            slam = present.slam
-            shown = KnownPlaces(slam.segments, grid, slam.sensor)
-            if other_place(shown, self._rays_of(placed)):
+            if other_place(KnownPlaces.of(frames.slam, grid), self._rays_of(placed)):
                 return
         self._tell("confirmed")
         self.state = Here()
@@ -187,8 +185,8 @@ class Recovery:
         """
         if not isinstance(self.state, Lost):
             return None
-        slam = self._frames.present.slam
-        local = self._frames.present.grid.copied().view
+        slam = self._frames.slam
+        local = self._frames.grid.copied().view
         known = self.state.known
         self._frames.use(known.slam.copied(), known.grid.copied())
         self._frames.followed.relocate(slam.pose, slam.covariance)
@@ -228,8 +226,8 @@ class Recovery:
         self.begin = max(self.begin, min(number, self._drive.end - 2))
 
     def _copy(self) -> KnownFrame:
-        present = self._frames.present
-        return KnownFrame(self._drive.end, self._frames.followed.copied(), present.grid.copied())
+        frames = self._frames
+        return KnownFrame(self._drive.end, frames.followed.copied(), frames.grid.copied())
 
     def _lose(self, loss: Loss, jump: float) -> None:
         """See to it that a lost robot goes on: in a renewed map, near by, or in a local frame."""
@@ -268,8 +266,8 @@ class Recovery:
         self.state = lost = replace(lost, first=max(first, self.begin + 1))
         lost.search.begin_anew()
         self._copies = Checkpoints()
-        record = {"event": "lost", "step": lost.first, "reason": loss.status.reason}
-        self.events += (Event(record, refutes=is_wrong),)
+        details = {"step": lost.first, "reason": loss.status.reason}
+        self._tell("lost", details, refutes=is_wrong)
         return lost
 
     def _lost_from(self, first: int, loss: Loss, jump: float) -> Lost:
@@ -281,7 +279,7 @@ class Recovery:
         known = self._copies.before(first, margin) or self._copy()
         self._forget_before(known.step)
         since = max(first, self.begin + 1)
-        slam = self._frames.present.slam
+        slam = self._frames.slam
         return Lost(
             loss=loss,
             known=known,
@@ -301,7 +299,7 @@ class Recovery:
         lost = self.state
         if isinstance(lost, Lost):
             self._offset = self.added_covariance
-            self._tell("given up", step=lost.first)
+            self._tell("given up", {"step": lost.first})
             self.state = Placed(
                 GIVEN_UP, lost.search, None, lost.first, driven=lost.driven, at=lost.driven
             )
@@ -334,7 +332,7 @@ class Recovery:
         """
         place = lost.search.place
         rays = self._rays_since(lost.first)
-        place.sensor = self._frames.present.slam.sensor
+        place.sensor = self._frames.slam.sensor
         if lost.is_carried:
             found = lost.search.seek(rays, may_be_bent=False)
         else:  # it has drifted, and is near, where a search of the whole map may miss its place
@@ -395,7 +393,7 @@ class Recovery:
         assert found.fit is not None  # noqa: S101 (a place was found)
         frame = found.fit.pose
         scans = self._drive.since(self.begin)
-        sensor = self._frames.present.slam.sensor
+        sensor = self._frames.slam.sensor
         placed = placed_until_carried(lost, scans, self.begin, frame, self._frames.robot, sensor)
         pose = placed[-1]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
@@ -423,26 +421,23 @@ class Recovery:
         # The first step may be a jump of the odometry, which the local frame begins with and need
         # not doubt again.
         frames.process_again(scans[:1])
-        frames.present.begin_anew()
+        frames.begin_anew()
         frames.process_again(scans[1:])
         if is_anew:
-            self._tell("begun anew", self._revision(lost.first), step=lost.first)
+            self._tell("begun anew", {"step": lost.first}, revision=self._revision(lost.first))
             self.state = Placed(BEGUN_ANEW, PlaceSearch(lost.search.place), None, lost.first)
 
     def _go_on_renewed(self, lost: Lost) -> bool:
         """Renew the estimate, if that explains the readings, since the robot has only drifted;
         whether it was done.
         """
-        present = self._frames.present
-        first = present.renewal.first + 1
-        if not present.renew_lost():
+        frames = self._frames
+        first = frames.renewal.first + 1
+        if not frames.renew_lost():
             return False
-        self._frames.frame += present.renewal.has_jumped
         self.move()
-        slam = present.slam
-        renewed = KnownPlaces(slam.segments, present.grid.view, slam.sensor)
-        self._tell("renewed", self._revision(first))
-        self._return(lost, renewed, has_drifted=True)
+        self._tell("renewed", revision=self._revision(first))
+        self._return(lost, KnownPlaces.of(frames.slam, frames.grid.view), has_drifted=True)
         return True
 
     def _go_on_at(self, found: Placement) -> None:
@@ -456,24 +451,23 @@ class Recovery:
         frames.use(slam, lost.known.grid.copied())
         count = found.step - self.begin
         frames.process_again(scans[:count])
-        rays, closed = found.put(slam, frames.present.grid)
+        rays, closed = found.put(slam, frames.grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with
         # that motion can be smoothed.
-        frames.present.begin_anew()
+        frames.begin_anew()
         frames.process_again(scans[count:])
         # The search has weighed the readings of these steps together. While they are processed
         # again, a bent map may contradict a few of them, and the robot would be lost and found in
         # turns.
-        frames.present.reset_monitors()
-        changed: dict[str, Any] = {}
+        frames.reset_monitors()
+        known: dict[str, Any] = {"revision": self._revision(self.begin)}
         if closed is None and found.has_drifted:
             past = PlaceHistory(self.events)
-            known = max([0, *past.breaks, *(last for _, last in past.slips)])
-            changed = {"slipped": (known, found.step)}
+            first = max([0, *past.breaks, *(last for _, last in past.slips)])
+            known["slipped"] = (first, found.step)
         elif closed is None:
-            changed = {"carried_at": found.step}
-        details = {"step": self._drive.end - 1, "carried_at": found.step}
-        self._tell("found", self._revision(self.begin), changed, **details)
+            known["carried_at"] = found.step
+        self._tell("found", {"carried_at": found.step}, **known)
         self._return(lost, closed, rays=rays, has_drifted=found.has_drifted)
 
     def _return(self, lost: Lost, place: KnownPlaces | None, **placed: Any) -> None:
@@ -492,7 +486,7 @@ class Recovery:
 
     def _rays_since(self, first: int) -> FloatArray:
         """The rays (n, 7) of the robot from a step on."""
-        sensor = self._frames.present.slam.sensor
+        sensor = self._frames.slam.sensor
         return rays_of(self._drive.since(first), self._frames.robot, sensor)
 
     def _rays_of(self, placed: Placed) -> FloatArray:
@@ -505,15 +499,9 @@ class Recovery:
         poses = np.array([scan.pose for scan in scans])
         return Revision(first, poses, np.array([scan.covariance for scan in scans]))
 
-    def _tell(
-        self,
-        event: str,
-        revision: Revision | None = None,
-        changed: dict[str, Any] | None = None,
-        **details: Any,
-    ) -> None:
-        """Add an event, with how the latest search stands."""
-        record: dict[str, Any] = {"event": event, "step": self._drive.end - 1, **details}
+    def _tell(self, event: str, details: dict[str, Any] | None = None, **known: Any) -> None:
+        """Add an event, with how the latest search stands, and what is ``known`` by it."""
+        record = {"event": event, "step": self._drive.end - 1, **(details or {})}
         if not isinstance(self.state, Here):
             record |= self.state.search.record
-        self.events += (Event(record, revision, **(changed or {})),)
+        self.events += (Event(record, **known),)

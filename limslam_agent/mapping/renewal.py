@@ -11,14 +11,14 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.localisation import is_far
+from limslam_agent.places.localisation import are_apart
 from limslam_agent.record import Drive, Scan
 from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.front_end import yaw_of
 from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.slam import ConsistentEstimator, Estimator, is_renewable
-from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
+from limslam_agent.status.known_map import DECIDED, KnownMap
 from limslam_agent.status.rays import rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
 from limslam_env.geometry import FloatArray
@@ -176,10 +176,10 @@ class Renewal:
 
     def _expects(self, pose: FloatArray) -> bool:
         """Whether a pose (3,) is near the present estimate, or no farther away than that states."""
+        if not are_apart(pose, self._slam.pose, np.zeros(2)):
+            return True
         off = pose - self._slam.pose
         off[2] = wrap_angle(off[2])
-        if not is_far(off, np.zeros(2), *DRIFT):
-            return True
         return bool(off @ np.linalg.solve(self._slam.covariance, off) <= ONE_WALL_GATE)
 
     def _drawn(self, scans: Sequence[Scan]) -> OccupancyGrid:

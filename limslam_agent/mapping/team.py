@@ -59,7 +59,145 @@ class Snapshot(MapSnapshot):
         return self.plans[0]
 
 
-class LimSlamTeam:
+class _Explorers:
+    """A mapper for one robot or several, and a policy for each of them."""
+
+    def __init__(
+        self, mapper: Mapper, policies: Sequence[Policy] | None, starts: FloatArray
+    ) -> None:
+        self.mapper = mapper
+        self.robot = mapper.robot
+        self.config = mapper.config
+        self.num_robots = len(starts)
+        self._given_policies = policies
+        self._begin(starts)
+
+    def _begin(self, starts: FloatArray) -> None:
+        """Forget everything and start again at known poses (n, 3)."""
+        self.mapper.reset(starts)
+        self.policies: list[Policy] = list(
+            self._given_policies
+            or [explorer(self.robot, self.config) for _ in range(self.num_robots)]
+        )
+        # Number of known cells at the time when each robot stopped.
+        self._known_at_stop: dict[int, int] = {}
+        self._frame = self.mapper.frame
+        self._map_number = self.mapper.map_number
+        self._left: dict[int, list[Policy]] = {}
+
+    def finish(self) -> None:
+        """Use the readings that are still buffered. Call this after the last step."""
+        self.mapper.finish()
+
+    @property
+    def slam(self) -> Estimator:
+        """The SLAM of the mapper."""
+        return self.mapper.slam
+
+    @property
+    def done(self) -> bool:
+        """Whether the policies of all robots have stopped."""
+        return self.stop_reason is not None
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why all robots have stopped, in words. None while a robot is still active."""
+        reasons = [policy.stop_reason for policy in self.policies if policy.stop_reason is not None]
+        if len(reasons) < self.num_robots:
+            return None
+        return reasons[0] if len(set(reasons)) == 1 else "; ".join(reasons)
+
+    @property
+    def status(self) -> Level:
+        """Whether the estimate can be trusted, the worst of all robots: ``"ok"``, ``"unsure"`` or
+        ``"lost"``.
+        """
+        return worst(self.mapper.statuses).level
+
+    @property
+    def status_reason(self) -> str:
+        """Why the status is not ``"ok"``, in words. Empty if it is."""
+        return worst(self.mapper.statuses).reason
+
+    def snapshot(self) -> Snapshot:
+        """Everything that is believed now. Later steps do not change the snapshot.
+
+        Raises
+        ------
+        ValueError
+            If the plan of a policy is not an array (k, 2) of finite points.
+        """
+        plans = [checked_plan(policy) for policy in self.policies]
+        return Snapshot(**vars(self.mapper.snapshot()), plans=plans, statuses=self.mapper.statuses)
+
+    def _actions(self) -> list[FloatArray]:
+        """Wheel speeds (2,) of each robot."""
+        beliefs = self.mapper.beliefs
+        self._renew_in_another_frame()
+        if not self.mapper.is_apart:
+            self._restart_stopped(beliefs[0].grid)
+        # The robots decide in order, so that each one knows the new goals of those before it.
+        return [
+            checked_action(policy, self._with_plans_of_others(beliefs[number], number))
+            for number, policy in enumerate(self.policies)
+        ]
+
+    def _policy_in_new_frame(self, number: int) -> Policy:
+        """What a robot does in another frame: a lost robot hurries to see as much as possible."""
+        config = self.config
+        if self.mapper.statuses[number].level == "lost":
+            fast = replace(config.policy, speed=self.robot.max_wheel_speed)
+            config = replace(config, policy=fast)
+        return explorer(self.robot, config)
+
+    def _renew_in_another_frame(self) -> None:
+        """Plan anew where the frame of the map has changed. Policies that were given keep their
+        plans.
+
+        In a map that was there before, the policies still know what was settled there. Otherwise a
+        robot whose map is moved now and then would look at the same places again and again, and
+        never end. Robots whose starts are unknown begin in another map when they are joined.
+        """
+        if self._frame != self.mapper.frame and self._given_policies is None:
+            if not isinstance(self.mapper, JoiningMapper):
+                self._left[self._map_number] = self.policies
+            self._map_number = self.mapper.map_number
+            kept = self._left.pop(self._map_number, None)
+            self.policies = kept or [
+                self._policy_in_new_frame(number) for number in range(self.num_robots)
+            ]
+        self._frame = self.mapper.frame
+
+    def _restart_stopped(self, grid: GridView) -> None:
+        """Let a robot that has stopped explore again, once the other robots have mapped enough new
+        cells.
+        """
+        if self._given_policies is not None or self.num_robots == 1 or self.done:
+            return
+        known = int(np.count_nonzero(grid.values))
+        for number, policy in enumerate(self.policies):
+            if policy.stop_reason is None:
+                self._known_at_stop.pop(number, None)
+            elif (
+                isinstance(policy, MapExplorer)
+                and known - self._known_at_stop.setdefault(number, known) > _NEWS
+            ):
+                policy.restart()
+                self._known_at_stop[number] = known
+
+    def _with_plans_of_others(self, belief: Belief, number: int) -> Belief:
+        if self.num_robots == 1 or self.mapper.is_apart:
+            return belief
+        others = [policy for other, policy in enumerate(self.policies) if other != number]
+        goals = [getattr(policy, "goal", None) for policy in others]
+        return replace(
+            belief,
+            other_goals=np.array([goal for goal in goals if goal is not None]).reshape(-1, 2),
+            other_looks=[faces for policy in others for faces in getattr(policy, "looks", ())],
+        )
+
+
+class LimSlamTeam(_Explorers):
     """One mapper for all robots of a team, and a policy for each robot (step 9 of the method).
 
     Parameters
@@ -121,15 +259,14 @@ class LimSlamTeam:
             raise ValueError(f"{len(policies)} policies for {num_robots} robots")
         if unknown_starts and (num_robots != 2 or prior_map is not None):
             raise ValueError("unknown starts are for two robots without the map of an earlier run")
-        self.mapper = (
+        starts = np.zeros((num_robots, 3))
+        mapper = (
             JoiningMapper(robot, config)
             if unknown_starts
-            else Mapper(robot, config, np.zeros((num_robots, 3)), prior_map=prior_map)
+            else Mapper(robot, config, starts, prior_map=prior_map)
         )
-        self.robot, self.config, self.num_robots = robot, self.mapper.config, num_robots
         self.names = [f"robot_{number}" for number in range(num_robots)]
-        self._given_policies = policies
-        self.reset(np.zeros((num_robots, 3)))
+        super().__init__(mapper, policies, starts)
 
     def reset(self, start_poses: FloatArray, seed: int | None = None) -> None:
         """Forget everything and start again at known poses (n, 3): x (m), y (m), heading (rad).
@@ -148,15 +285,7 @@ class LimSlamTeam:
                 f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not "
                 f"{poses.shape}"
             )
-        self.mapper.reset(poses)
-        self.policies: list[Policy] = list(
-            self._given_policies
-            or [explorer(self.robot, self.config) for _ in range(self.num_robots)]
-        )
-        # Number of known cells at the time when each robot stopped.
-        self._known_at_stop: dict[int, int] = {}
-        self._frame, self._map_number = self.mapper.frame, self.mapper.map_number
-        self._left: dict[int, list[Policy]] = {}
+        self._begin(poses)
 
     def act(self, observations: Mapping[str, Observation]) -> dict[str, FloatArray]:
         """Wheel speeds (2,) of each robot by its name, as fractions of the maximum, for one
@@ -180,121 +309,10 @@ class LimSlamTeam:
         ValueError
             If a policy does not answer with two finite numbers.
         """
-        beliefs = self.mapper.beliefs
-        self._renew_in_another_frame()
-        if not self.mapper.is_apart:
-            self._restart_stopped(beliefs[0].grid)
-        # The robots decide in order, so that each one knows the new goals of those before it.
-        return [
-            checked_action(
-                policy,
-                self._with_plans_of_others(beliefs[number], number)
-                if self.num_robots > 1
-                else beliefs[number],
-            )
-            for number, policy in enumerate(self.policies)
-        ]
-
-    def finish(self) -> None:
-        """Use the readings that are still buffered. Call this after the last step."""
-        self.mapper.finish()
-
-    @property
-    def slam(self) -> Estimator:
-        """The SLAM of the mapper."""
-        return self.mapper.slam
-
-    @property
-    def done(self) -> bool:
-        """Whether the policies of all robots have stopped."""
-        return all(policy.stop_reason is not None for policy in self.policies)
-
-    @property
-    def stop_reason(self) -> str | None:
-        """Why all robots have stopped, in words. None while a robot is still active."""
-        reasons = [policy.stop_reason for policy in self.policies if policy.stop_reason is not None]
-        if len(reasons) < self.num_robots:
-            return None
-        return reasons[0] if len(set(reasons)) == 1 else "; ".join(reasons)
-
-    @property
-    def status(self) -> Level:
-        """Whether the estimate can be trusted, the worst of all robots: ``"ok"``, ``"unsure"`` or
-        ``"lost"``.
-        """
-        return worst(self.mapper.statuses).level
-
-    @property
-    def status_reason(self) -> str:
-        """Why the status is not ``"ok"``, in words. Empty if it is."""
-        return worst(self.mapper.statuses).reason
-
-    def snapshot(self) -> Snapshot:
-        """Everything that the team believes now. Later steps do not change the snapshot.
-
-        Raises
-        ------
-        ValueError
-            If the plan of a policy is not an array (k, 2) of finite points.
-        """
-        plans = [checked_plan(policy) for policy in self.policies]
-        return Snapshot(**vars(self.mapper.snapshot()), plans=plans, statuses=self.mapper.statuses)
-
-    def _policy_in_new_frame(self, number: int) -> Policy:
-        """What a robot does in another frame: a lost robot hurries to see as much as possible."""
-        if self.mapper.statuses[number].level != "lost":
-            return explorer(self.robot, self.config)
-        fast = replace(self.config.policy, speed=self.robot.max_wheel_speed)
-        return explorer(self.robot, replace(self.config, policy=fast))
-
-    def _renew_in_another_frame(self) -> None:
-        """Plan anew where the frame of the map has changed. Policies that were given keep their
-        plans.
-
-        In a map that was there before, the policies still know what was settled there. Otherwise a
-        robot whose map is moved now and then would look at the same places again and again, and
-        never end. Robots whose starts are unknown begin in another map when they are joined.
-        """
-        if self._frame != self.mapper.frame and self._given_policies is None:
-            if not isinstance(self.mapper, JoiningMapper):
-                self._left[self._map_number] = self.policies
-            self._map_number = self.mapper.map_number
-            kept = self._left.pop(self._map_number, None)
-            self.policies = kept or [
-                self._policy_in_new_frame(number) for number in range(self.num_robots)
-            ]
-        self._frame = self.mapper.frame
-
-    def _restart_stopped(self, grid: GridView) -> None:
-        """Let a robot that has stopped explore again, once the other robots have mapped enough new
-        cells.
-        """
-        if self._given_policies is not None or self.num_robots == 1 or self.done:
-            return
-        known = int(np.count_nonzero(grid.values))
-        for number, policy in enumerate(self.policies):
-            if policy.stop_reason is None:
-                self._known_at_stop.pop(number, None)
-            elif (
-                isinstance(policy, MapExplorer)
-                and known - self._known_at_stop.setdefault(number, known) > _NEWS
-            ):
-                policy.restart()
-                self._known_at_stop[number] = known
-
-    def _with_plans_of_others(self, belief: Belief, number: int) -> Belief:
-        if self.mapper.is_apart:
-            return belief
-        others = [policy for other, policy in enumerate(self.policies) if other != number]
-        goals = [getattr(policy, "goal", None) for policy in others]
-        return replace(
-            belief,
-            other_goals=np.array([goal for goal in goals if goal is not None]).reshape(-1, 2),
-            other_looks=[faces for policy in others for faces in getattr(policy, "looks", ())],
-        )
+        return self._actions()
 
 
-class LimSlamAgent:
+class LimSlamAgent(_Explorers):
     """Maps with a few range beams and explores until nothing is left to explore.
 
     Parameters
@@ -325,8 +343,8 @@ class LimSlamAgent:
     def __init__(
         self, robot: RobotSpec, config: AgentConfig | None = None, policy: Policy | None = None
     ) -> None:
-        self._team = LimSlamTeam(robot, config, 1, None if policy is None else [policy])
-        self.robot, self.config = robot, self._team.config
+        mapper = Mapper(robot, config, np.zeros((1, 3)))
+        super().__init__(mapper, None if policy is None else [policy], np.zeros((1, 3)))
 
     def reset(self, start_pose: FloatArray, seed: int | None = None) -> None:
         """Forget everything and start again at a known pose (3,): x (m), y (m), heading (rad).
@@ -338,7 +356,11 @@ class LimSlamAgent:
         ValueError
             If the pose has another shape or is not finite.
         """
-        self._team.reset(floats(start_pose)[None], seed)
+        del seed
+        pose = floats(start_pose)
+        if pose.shape != (3,):
+            raise ValueError(f"a robot needs a start pose (3,), not {pose.shape}")
+        self._begin(pose[None])
 
     def act(self, observation: Observation) -> FloatArray:
         """Wheel speeds (2,), left and right, as fractions of the maximum, for one observation.
@@ -353,51 +375,13 @@ class LimSlamAgent:
 
     def observe(self, observation: Observation) -> None:
         """The mapping half of :meth:`act`: update pose, walls and grid from one observation."""
-        self._team.observe([observation])
+        self.mapper.step(observation)
 
     def decide(self) -> FloatArray:
         """The exploring half of :meth:`act`: wheel speeds (2,). The map stays as it is."""
-        return self._team.decide()[0]
-
-    def finish(self) -> None:
-        """Use the readings that are still buffered. Call this after the last step."""
-        self._team.finish()
-
-    @property
-    def mapper(self) -> Mapper:
-        """The mapping half: SLAM, occupancy grid and odometry."""
-        return self._team.mapper
-
-    @property
-    def slam(self) -> Estimator:
-        """The SLAM of the mapper."""
-        return self._team.slam
+        return self._actions()[0]
 
     @property
     def policy(self) -> Policy:
         """The exploring half."""
-        return self._team.policies[0]
-
-    @property
-    def done(self) -> bool:
-        """Whether the policy has stopped."""
-        return self._team.done
-
-    @property
-    def stop_reason(self) -> str | None:
-        """Why the policy has stopped, in words. None while the policy is active."""
-        return self._team.stop_reason
-
-    @property
-    def status(self) -> Level:
-        """Whether the estimate can be trusted: ``"ok"``, ``"unsure"`` or ``"lost"``."""
-        return self._team.status
-
-    @property
-    def status_reason(self) -> str:
-        """Why the status is not ``"ok"``, in words. Empty if it is."""
-        return self._team.status_reason
-
-    def snapshot(self) -> Snapshot:
-        """Everything that the agent believes now. Later steps do not change the snapshot."""
-        return self._team.snapshot()
+        return self.policies[0]

@@ -91,8 +91,8 @@ class FinishedRun:
         preset = config.get("preset") or part_of(config, "agent").get("preset", "")
         if self.is_replay:
             return ", ".join(filter(None, (str(config["log"]), str(preset))))
-        told = {"world": self.folder.name, **config, "preset": preset}
-        return run_title(told, len(self.estimated), self.result.get("seed"))
+        settings = {"world": self.folder.name, **config, "preset": preset}
+        return run_title(settings, len(self.estimated), self.result.get("seed"))
 
 
 def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:

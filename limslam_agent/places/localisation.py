@@ -17,12 +17,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.status.known_map import DECIDED, DRIFT, MATCH_COVARIANCE, KnownMap, PlaceFit
 from limslam_agent.status.monitor import TURN_LENGTH
 from limslam_agent.status.sudden_changes import WINDOW
@@ -85,6 +87,11 @@ frontier, and in any map.
 
 class KnownPlaces(KnownMap):
     """A map as it is searched for the place of a drive. Its grid must not change any more."""
+
+    @classmethod
+    def of(cls, slam: Estimator, grid: GridView) -> Self:
+        """The map of a SLAM, with its grid."""
+        return cls(slam.segments, grid, slam.sensor)
 
     @cached_property
     def size(self) -> float:
@@ -287,11 +294,18 @@ def _places(fits: Sequence[PlaceFit], middle: FloatArray) -> list[PlaceFit]:
     return places
 
 
-def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray) -> bool:
-    """Whether two poses (3,) of a drive place its middle (2,), or turn it, differently."""
+def are_apart(
+    first: FloatArray,
+    second: FloatArray,
+    middle: FloatArray,
+    limits: tuple[float, float] = DRIFT,
+) -> bool:
+    """Whether two poses (3,) of a drive place its middle (2,), or turn it, differently: by more
+    than a distance, m, and an angle, rad.
+    """
     shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
     turn = abs(wrap_angle(float(first[2] - second[2])))
-    return float(np.hypot(*shift[0])) > DRIFT[0] or turn > DRIFT[1]
+    return float(np.hypot(*shift[0])) > limits[0] or turn > limits[1]
 
 
 def match_covariance(middle: FloatArray, pose: FloatArray) -> FloatArray:
@@ -305,16 +319,11 @@ def match_covariance(middle: FloatArray, pose: FloatArray) -> FloatArray:
     return np.asarray(lever @ MATCH_COVARIANCE @ lever.T)
 
 
-def is_far(
-    pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: float = FAR[1]
-) -> bool:
+def is_far(pose: FloatArray, middle: FloatArray) -> bool:
     """Whether a pose (3,) of a drive places its middle (2,) so far from where it was believed to
-    be, or turns it so.
-
-    That is by more than a distance ``most``, m, or an angle ``turn``, rad.
+    be, or turns it so, that the robot has not drifted.
     """
-    shift = transform_points(pose, middle[None])[0] - middle
-    return float(np.hypot(*shift)) > most or abs(wrap_angle(float(pose[2]))) > turn
+    return are_apart(pose, np.zeros(3), middle, FAR)
 
 
 def agree(first: Localisation, second: Localisation, *, may_be_bent: bool = False) -> bool:

@@ -56,7 +56,7 @@ class KnownFrame:
     @property
     def places(self) -> KnownPlaces:
         """The map of the frame, to be searched."""
-        return KnownPlaces(self.slam.segments, self.grid.view, self.slam.sensor)
+        return KnownPlaces.of(self.slam, self.grid.view)
 
     def explains(self, frame: FloatArray, covariance: FloatArray, rays: FloatArray) -> bool:
         """Whether the covariance of the estimate explains that rays (n, 7) have moved it by a frame
@@ -241,7 +241,7 @@ class Placement(NamedTuple):
             return self.rays, None
         grid.bend(*bent)
         rays = moved(self.rays, compose(slam.pose, inverse(self.pose)))
-        return rays, KnownPlaces(slam.segments, grid.copied().view, slam.sensor)
+        return rays, KnownPlaces.of(slam, grid.copied().view)
 
 
 def placed_until_carried(

@@ -71,30 +71,28 @@ class Laps:
 
     def act(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the next corner. Zero after the last one."""
+        away = np.hypot(*(self._corners - belief.pose[:2]).T)
         if self._next is None:
-            nearest = int(np.argmin(np.linalg.norm(self._corners - belief.pose[:2], axis=1)))
-            self._next = (nearest + 1) % len(self._corners)
-        if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < ARRIVED:
-            self._next = (self._next + 1) % len(self._corners)
-            self._remaining = self._remaining - 1
-            self._progress = Progress()
-        if belief.frame != self._frame:  # the corner is as near or far as the new frame says
+            self._next = (int(away.argmin()) + 1) % len(away)
+        has_arrived = away[self._next] < ARRIVED
+        if has_arrived:
+            self._next = (self._next + 1) % len(away)
+            self._remaining -= 1
+        # In another frame, the corner is as near or far as that frame says.
+        if has_arrived or belief.frame != self._frame:
             self._frame = belief.frame
             self._progress = Progress()
         if self._remaining <= 0:
             self.stop_reason = "all laps driven"
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        action = steer(
-            belief.pose, self._corners[self._next], belief.ranges, self._robot, LAP_SPEED
-        )
-        self._progress.count(float(np.linalg.norm(self._corners[self._next] - belief.pose[:2])))
-        if self._progress.is_stuck:
+        self._progress.count(float(away[self._next]))
+        if self.stop_reason is None and self._progress.is_stuck:
             self.stop_reason = (
                 f"stopped: something is in the way to corner {self._next + 1} of the loop"
             )
+        if self.stop_reason is not None:
             return np.zeros(2)
-        return action
+        corner = self._corners[self._next]
+        return steer(belief.pose, corner, belief.ranges, self._robot, LAP_SPEED)
 
 
 class ReactivePolicy(MapExplorer):

@@ -60,9 +60,15 @@ def smoothed_by_graph(
     data = with_reversing(recorded, config)
     found, signals = trusted_path(data, log.start_pose, config, report)
     landmarks = draw_walls(point_cloud(found.keys, found.trajectory), data.range_std)
+    metres, places = reversed_distance(recorded, data)
     smoothed = Smoothed(
         found.poses,
-        {**_figures(found), **_reversing(recorded, data), **signals.figures},
+        {
+            **_figures(found),
+            "smoothed_reversed_m": metres,
+            "smoothed_reversed_places": places,
+            **signals.figures,
+        },
         time.process_time() - begin,
         found,
         data=data,
@@ -275,11 +281,6 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "loops_kept": reasons.count(KEPT),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
-
-
-def _reversing(recorded: LogData, data: LogData) -> dict[str, Any]:
-    metres, places = reversed_distance(recorded, data)
-    return {"smoothed_reversed_m": metres, "smoothed_reversed_places": places}
 
 
 def _times(found: GraphResult, time: FloatArray) -> dict[str, list[float]]:

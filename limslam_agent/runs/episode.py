@@ -77,50 +77,39 @@ def run_episode(
         Asked after each step. If it is true, the run ends there.
     """
     with naming_lines_of(config.policy):
-        return _episode(config, watch, render_mode, policies, alter, is_interrupted)
-
-
-def _episode(
-    config: RunConfig,
-    watch: Watcher | None,
-    render_mode: str | None,
-    policies: Sequence[Policy] | None,
-    alter: Callable[[Observation, float], Observation] | None,
-    is_interrupted: Callable[[], bool],
-) -> Episode:
-    world = load_world(config.world)
-    env = LimSlamParallelEnv(
-        world,
-        num_robots=config.robots,
-        robot=config.robot,
-        noise=replace(config.true_noise, sensor_noise=config.noise),
-        imu=config.imu,
-        coverage_goal=None,
-        max_cycles=None,
-        render_mode=render_mode,
-    )
-    team = team_of(config, policies_of(config, world) if policies is None else policies)
-    clock = time.perf_counter()
-    rows = _drive(config, env, team, watch, alter, is_interrupted)
-    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    return Episode(
-        config=config,
-        world=world,
-        associations=team.slam.associations,
-        closures=list(team.slam.closures),
-        calibrations=team.slam.odometry_calibrations,
-        places=team.mapper.places,
-        in_prior_map=team.mapper.prior_frame is not None,
-        snapshot=team.snapshot(),
-        coverage_grid=env.coverage_grid,
-        stop_reason=_stop_reason(config, world, team.stop_reason, len(rows)),
-        is_finished=team.done,
-        wall_clock=time.perf_counter() - clock,
-        is_joined=not team.mapper.is_apart,
-        sensor=team.slam.sensor if isinstance(team.slam, ConsistentEstimator) else None,
-        beam_turns=team.slam.beam_turns,
-        **_in_one_frame(columns, team.mapper),
-    )
+        world = load_world(config.world)
+        env = LimSlamParallelEnv(
+            world,
+            num_robots=config.robots,
+            robot=config.robot,
+            noise=replace(config.true_noise, sensor_noise=config.noise),
+            imu=config.imu,
+            coverage_goal=None,
+            max_cycles=None,
+            render_mode=render_mode,
+        )
+        team = team_of(config, policies_of(config, world) if policies is None else policies)
+        clock = time.perf_counter()
+        rows = _drive(config, env, team, watch, alter, is_interrupted)
+        columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        return Episode(
+            config=config,
+            world=world,
+            associations=team.slam.associations,
+            closures=list(team.slam.closures),
+            calibrations=team.slam.odometry_calibrations,
+            places=team.mapper.places,
+            in_prior_map=team.mapper.prior_frame is not None,
+            snapshot=team.snapshot(),
+            coverage_grid=env.coverage_grid,
+            stop_reason=_stop_reason(config, world, team.stop_reason, len(rows)),
+            is_finished=team.done,
+            wall_clock=time.perf_counter() - clock,
+            is_joined=not team.mapper.is_apart,
+            sensor=team.slam.sensor if isinstance(team.slam, ConsistentEstimator) else None,
+            beam_turns=team.slam.beam_turns,
+            **_in_one_frame(columns, team.mapper),
+        )
 
 
 def policies_of(config: RunConfig, world: World) -> list[Policy] | None:

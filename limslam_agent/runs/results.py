@@ -4,7 +4,7 @@ The estimate is compared with the truth only here, after the run is over.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from limslam_agent.output.summary import calibration_record, record_of, run_cost
 from limslam_agent.runs.optimum import offline_optimum
 from limslam_agent.runs.policies import TOUR
 from limslam_agent.runs.policy_file import short_name
-from limslam_agent.runs.record import Episode, FinalMap
+from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import (
     final_status_scores,
@@ -84,30 +84,29 @@ def score(episode: Episode) -> dict[str, Any]:
     robots.
     """
     config = episode.config
+    edges = len(episode.world.edges)
     events = _events(episode)
     closed = [(closure.older, closure.younger) for closure in episode.closures]
-    placed = slice(
-        episode.placed_robots
-    )  # the poses of a robot that was not placed are in a frame of its own
+    # The poses of a robot that was not placed are in a frame of its own.
+    placed = slice(episode.placed_robots)
     known = episode.placed_steps
-    online = None if episode.smoothed is None else episode.online_map
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = over_robots(trajectory_scores, *(rows[:, placed] for rows in columns))
     has_limit = config.limit and not episode.is_interrupted
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if has_limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
     has_explored = episode.claims_explored and not config.laps and config.policy != TOUR
+    true = episode.true[known, placed]
+    final = episode.final_map
     walls = map_scores(
-        episode.world,
-        config.robot,
-        episode.coverage_grid,
-        episode.final_map,
-        episode.true[known, placed],
-        episode.final_map.poses[known, placed],
-        None
-        if online is None
-        else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
+        episode.world, config.robot, episode.coverage_grid, final, true, final.poses[known, placed]
     )
+    if episode.smoothed is not None:
+        # What the robots knew when the run stopped.
+        online = episode.online_map
+        poses = online.poses[known, placed]
+        before = _wall_scores(episode.world, config.robot, online.segments, true, poses)
+        walls |= {f"{name}_online": value for name, value in before.items()}
     estimates = {**trajectory, **limit, **smoothed, **walls}
     if config.map is not None and not episode.in_prior_map:
         # The estimates are in a frame of their own, and can be compared with the truth only when
@@ -120,8 +119,8 @@ def score(episode: Episode) -> dict[str, Any]:
         **drive_scores(
             episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored
         ),
-        **association_metrics(events, len(episode.world.edges)),
-        **closure_metrics(events, closed, len(episode.world.edges)),
+        **association_metrics(events, edges),
+        **closure_metrics(events, closed, edges),
         **dropped_beam_metrics(episode.dropped, episode.wall_seen),
         **status_scores(episode.time, episode.levels, worst(episode.snapshot.statuses)),
         **final_status(episode),
@@ -176,41 +175,30 @@ def map_scores(
     final: WallsAndGrid,
     true: FloatArray,
     estimated: FloatArray,
-    online: tuple[FinalMap, FloatArray] | None = None,
 ) -> dict[str, float | None]:
     """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it
     with the world.
-
-    If the map is a smoothed one, ``online`` is what the robots knew when the run stopped, with the
-    true poses of its own steps. The metrics of its walls end in ``_online``.
     """
-    segments = final.segments
     grid = final.grid
     claimed = grid.centres(np.argwhere(grid.free))
-    visible = metrics.visible_samples(world, robot.radius, robot.reach)
-    before = (
-        {}
-        if online is None
-        else _wall_scores(world, visible, online[0].segments, online[1], online[0].poses)
-    )
     return {
-        **_wall_scores(world, visible, segments, true, estimated),
-        **{f"{name}_online": value for name, value in before.items()},
-        "doors_open": metrics.doors_open(world.doors, segments),
+        **_wall_scores(world, robot, final.segments, true, estimated),
+        "doors_open": metrics.doors_open(world.doors, final.segments),
         **metrics.coverage_claims(claimed, grid.cell, covered.coverable, covered.low, CELL),
-        "landmarks": len(segments),
+        "landmarks": len(final.segments),
     }
 
 
 def _wall_scores(
     world: World,
-    visible: metrics.WallSamples,
+    robot: RobotSpec,
     segments: FloatArray,
     true: FloatArray,
     estimated: FloatArray,
 ) -> dict[str, float]:
     # All robots share one map, so one rigid motion aligns it.
     alignment = metrics.rigid_alignment(true.reshape(-1, 3)[:, :2], estimated.reshape(-1, 3)[:, :2])
+    visible = metrics.visible_samples(world, robot.radius, robot.reach)
     return metrics.wall_metrics(visible, world.edges, segments, alignment)
 
 

@@ -2,7 +2,7 @@
 odometry.
 """
 
-from typing import TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
@@ -12,6 +12,9 @@ from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.published import Associate
 
 __all__ = [
     "AssociationRecord",
@@ -29,6 +32,7 @@ def LineSlam(  # noqa: N802 (the public name of a SLAM)
     config: AgentConfig,
     start_pose: FloatArray | None = None,
     sensor: RangeSensor | None = None,
+    associate: "Associate | None" = None,
 ) -> Estimator:
     """SLAM with line landmarks, for one robot or for several robots that share a map.
 
@@ -44,11 +48,19 @@ def LineSlam(  # noqa: N802 (the public name of a SLAM)
     sensor
         How the ranges are measured, if that is known to differ from ``robot`` and ``config``. Only
         the consistent estimator uses it.
+    associate
+        What decides which landmark an observed line is, in place of the paper's association. Only
+        the published method has such a part.
 
     Returns
     -------
     Estimator
         The consistent estimator, or the published method.
+
+    Raises
+    ------
+    ValueError
+        If another estimator than the published method is to associate in another way.
 
     Examples
     --------
@@ -62,9 +74,11 @@ def LineSlam(  # noqa: N802 (the public name of a SLAM)
     """
     if isinstance(config.estimator, PublishedConfig):
         # Only this estimator needs filterpy, which loads all of scipy.stats.
-        from limslam_agent.slam.published.published import PublishedSlam
+        from limslam_agent.slam.published import PublishedSlam
 
-        return PublishedSlam(robot, config, start_pose)
+        return PublishedSlam(robot, config, start_pose, associate)
+    if associate is not None:
+        raise ValueError("only the published method (preset paper) takes another association")
     return ConsistentEstimator(robot, config, start_pose, sensor)
 
 

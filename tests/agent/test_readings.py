@@ -6,22 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.special import ndtr
 from support.bags import odometry, scan, write_bag
 from support.command_line import limslam
 from support.drives import along, drive, ranges_at, room, straight
 
-from limslam_agent import BatchSlam, LimSlamAgent, Mapper, preset, read_log, replay_log
+from limslam_agent import BatchSlam, Mapper, preset, read_log, replay_log
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import Dropouts, short_series, without_dropouts
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid, drawn_grid
-from limslam_agent.kernels.readings import sort_readings, weigh_changes
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
-from limslam_agent.readings import as_readings, new_repeats
+from limslam_agent.readings import as_readings
 from limslam_env import NominalNoise, RobotSpec, SensorSpec
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import FloatArray
 from limslam_env.interface import beams_on_rim
 
 MOST = 3.0
@@ -120,24 +118,9 @@ def test_a_batch_takes_readings_as_one_mapper_does():
     np.testing.assert_array_equal(
         batch.refused_readings, [math.isnan(meaning) for _, meaning in MEANINGS]
     )
-    as_meant = batch_of_meanings(readings)
-    np.testing.assert_array_equal(believed.grid, as_meant)
-
-
-def batch_of_meanings(readings):
-    """The grids of a batch whose sensors report nothing beyond their limits."""
     meant = as_readings(readings, ROBOT.min_ranges, ROBOT.max_ranges)
-    return BatchSlam(ROBOT, CONFIG, len(meant)).step(meant, np.zeros((len(meant), 2))).grid
-
-
-def test_an_agent_acts_on_a_reading_of_8190_millimetres_as_on_one_at_the_maximum():
-    actions = []
-    for far in (MOST, 8.19, 8190.0, math.inf):
-        agent = LimSlamAgent(ROBOT, CONFIG)
-        agent.reset(np.zeros(3))
-        observation = {"ranges": np.array([2.0, far, 1.0]), "wheels": np.zeros(2)}
-        actions.append(agent.act(observation))
-    np.testing.assert_array_equal(actions, [actions[0]] * len(actions))
+    as_meant = BatchSlam(ROBOT, CONFIG, len(meant)).step(meant, np.zeros((len(meant), 2)))
+    np.testing.assert_array_equal(believed.grid, as_meant.grid)
 
 
 def test_each_beam_has_its_own_limits():
@@ -148,30 +131,6 @@ def test_each_beam_has_its_own_limits():
 
 
 SIX = RobotSpec()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_readings(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    count = len(SIX.beams)
-    special = np.array(
-        [np.nan, np.inf, -np.inf, -0.3, 0.0, SIX.max_ranges[0], SIX.min_ranges[0], 0.01, 9.0]
-    )
-    values = generator.uniform(0.0, 2.0, count)
-    values = np.where(generator.random(count) < 0.5, generator.choice(special, count), values)
-    is_new = generator.random(count) < 0.7
-    readings = np.empty(count)
-    measured = is_new.copy()
-    hits = np.zeros(count, dtype=bool)
-    limits = SIX.min_ranges, SIX.max_ranges, SIX.too_near, SIX.too_far
-    refused = sort_readings(values, *limits, 0.0, new_repeats(count), readings, measured, hits)
-    expected = as_readings(values, SIX.min_ranges, SIX.max_ranges)
-    np.testing.assert_array_equal(readings, expected)
-    assert refused == np.count_nonzero(np.isnan(expected))
-    np.testing.assert_array_equal(measured, is_new & ~np.isnan(expected))
-    np.testing.assert_array_equal(
-        hits, measured & (expected > SIX.too_near) & (expected < SIX.too_far)
-    )
 
 
 # A corridor around a block, with open space beyond the longest range.
@@ -393,78 +352,6 @@ def test_a_mapper_uses_each_reading_once(kind: str) -> None:
     assert max(off) < 0.1
     assert len(mapper.slam.segments) == 8
     assert mapper.statuses[0].level == "ok"
-
-
-def density(off: FloatArray, std: FloatArray) -> FloatArray:
-    return np.asarray(np.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi)))
-
-
-def plain_evidence(
-    ranges: FloatArray, usable: BoolArray, motions: FloatArray, std: float, growth: float
-) -> FloatArray:
-    limits = SIX.max_ranges
-    shares = (0.75, 0.25)
-    slopes = ((1.0, 0.7), (2.0, 2.0))
-    seen = np.minimum(ranges, limits)
-    nothing = ranges >= SIX.too_far
-    now = seen[2:]
-    before = seen[1:-1]
-    earlier = seen[:-2]
-    travel = motions[2:, :1]
-    turn = motions[2:, 1:]
-    shorter = np.minimum(now, before)
-    variances = std**2 + (growth * shorter**2) ** 2
-    base = 2.0 * variances + 0.01**2
-    stds = [
-        np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2)
-        for drive, spin in slopes
-    ]
-    edges = 0.01 + 0.4 * np.minimum(turn, 0.2)
-    goes_on = sum(
-        share * density(now - before, each) for share, each in zip(shares, stds, strict=True)
-    )
-    bend = np.sqrt(6.0 * variances + 0.03**2 + (0.2 * turn * shorter) ** 2)
-    is_line = (np.minimum(turn, motions[1:-1, 1:]) > 0.05) & ~(
-        nothing[2:] | nothing[1:-1] | nothing[:-2]
-    )
-    is_line &= ~np.isnan(earlier)
-    goes_on = np.where(
-        is_line, np.maximum(goes_on, 0.6 * density(now - 2.0 * before + earlier, bend)), goes_on
-    )
-    changes = (1.0 - edges) * goes_on + edges / limits
-    vanishes = sum(
-        share * ndtr((before - limits) / each) for share, each in zip(shares, stds, strict=True)
-    )
-    vanishes = (1.0 - edges) * vanishes + 0.45 * edges
-    comes = sum(
-        share * density(limits - now, each) for share, each in zip(shares, stds, strict=True)
-    )
-    comes = 0.08 * (1.0 + 3.0 * (turn > 0.1)) * comes + edges / limits
-    here = np.where(nothing[2:], vanishes, np.where(nothing[1:-1], comes, changes))
-    evidence = np.log(np.where(nothing[2:], 0.45, 0.55 / limits) / here)
-    evidence = np.where(nothing[2:] & nothing[1:-1], math.log(0.45), evidence)
-    return np.where(usable[2:] & usable[1:-1], np.clip(evidence, -1.5, 4.5), 0.0)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_evidence_of_changes(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    shape = (12, len(SIX.beams))
-    ranges = np.cumsum(generator.normal(0.0, 0.03, shape), axis=0) + generator.uniform(
-        0.3, 1.5, shape[1]
-    )
-    ranges = np.where(
-        generator.random(shape) < 0.15, SIX.max_ranges, np.clip(ranges, 0.1, SIX.max_ranges)
-    )
-    ranges[generator.random(shape) < 0.05] = np.nan
-    usable = ~np.isnan(ranges) & (generator.random(shape) < 0.95)
-    motions = np.abs(generator.normal(0.0, (0.02, 0.1), (12, 2)))
-    evidence = np.empty((10, shape[1]))
-    weigh_changes(ranges, usable, motions, SIX.beam_table, 0.02, 0.05, evidence)
-    np.testing.assert_allclose(
-        evidence, plain_evidence(ranges, usable, motions, 0.02, 0.05), rtol=1e-9, atol=1e-9
-    )
-    assert np.std(evidence) > 0.1
 
 
 @pytest.mark.parametrize("seed", range(3))

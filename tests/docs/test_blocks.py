@@ -145,11 +145,6 @@ def test_an_equation_is_closed(block):
         assert text.count(opening) == text.count(closing), opening
 
 
-def test_no_exemption_outlives_its_block():
-    known = {block.text.lstrip() for block in all_blocks("python")}
-    assert [start for start in NOT_RUN if not any(text.startswith(start) for text in known)] == []
-
-
 def example(name: str) -> Path:
     """A file of the examples."""
     path = ROOT / "examples" / name

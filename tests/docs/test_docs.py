@@ -175,13 +175,6 @@ def test_links_lead_somewhere(page):
     assert [problem for target in links(page) if (problem := problem_of(page, target))] == []
 
 
-def test_a_broken_link_would_be_noticed():
-    readme = ROOT / "README.md"
-    assert "no such file" in problem_of(readme, "docs/nowhere.md")
-    assert "no such heading" in problem_of(readme, "docs/metrics.md#nowhere")
-    assert "outside" in problem_of(readme, "../elsewhere.md")
-
-
 def exists(name: str) -> bool:
     """Whether a path such as ``limslam_env/geometry/`` or ``slam/core/ekf.py`` is one of the
     project's.

@@ -47,7 +47,11 @@ def told(*arguments: object, cwd: Path | None = None) -> str:
 
 def refused(*arguments: object, cwd: Path | None = None) -> str:
     """The one line with which ``limslam`` refuses what a user has asked for."""
-    finished = limslam(*arguments, cwd=cwd)
+    return refusal_of(limslam(*arguments, cwd=cwd))
+
+
+def refusal_of(finished: Finished) -> str:
+    """The one line of a call that was refused."""
     assert finished.returncode == 2, finished
     assert finished.stderr.startswith("limslam: ")
     assert finished.stderr.count("\n") == 1, finished.stderr

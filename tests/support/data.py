@@ -5,11 +5,14 @@ refused.
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 import limslam_env
 from limslam_agent import read_log
+from limslam_env import RobotSpec
 
 SHIPPED_WORLDS = sorted(
     path.stem for path in Path(limslam_env.__file__).with_name("worlds").glob("*.toml")
@@ -39,3 +42,18 @@ def refusal(
     assert message.startswith(f"{path}: ")
     assert "\n" not in message
     return message
+
+
+def own_log(count: int = 4) -> dict[str, Any]:
+    """The arrays of a ``log.npz`` of some steps."""
+    generator = np.random.default_rng(3)
+    return {
+        "time": 0.1 * np.arange(count),
+        "ranges": generator.uniform(0.1, 1.5, (count, 6)).astype(np.float32),
+        "wheels": generator.uniform(-0.03, 0.03, (count, 2)).astype(np.float32),
+        "action": generator.uniform(-1.0, 1.0, (count, 2)).astype(np.float32),
+        "true_pose": generator.uniform(-1.0, 1.0, (count, 3)),
+        "wall_seen": generator.integers(-2, 9, (count, 6)),
+        "robot": np.array(RobotSpec().to_json()),
+        "start_pose": np.array([1.0, 2.0, 0.5]),
+    }

@@ -8,6 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.beams import line_table, predict_readings
+from limslam_agent.kernels.tables import Readings as FilterReadings
+from limslam_agent.kernels.tables import clones_from
+from limslam_agent.kernels.updates import compare_readings
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.pending_readings import places_of
@@ -27,17 +30,6 @@ class Readings(NamedTuple):
     growth: float = 0.0
     cone: float = 0.0
 
-    def select(self, chosen: IntArray) -> "Readings":
-        return Readings(
-            self.clones[chosen],
-            self.origins[chosen],
-            self.angles[chosen],
-            self.ranges[chosen],
-            self.sources[chosen],
-            self.growth,
-            self.cone,
-        )
-
     @property
     def rows(self) -> FloatArray:
         """The readings (n, 6) as the filter takes them."""
@@ -50,17 +42,6 @@ class Readings(NamedTuple):
         return np.asarray(std**2 + (self.growth * self.ranges**2) ** 2)
 
 
-class Expected(NamedTuple):
-    """Ranges (n,), their derivatives by pose (n, 3) and line (n, 2), and cosines between beam and
-    normal (n,).
-    """
-
-    ranges: FloatArray
-    by_pose: FloatArray
-    by_line: FloatArray
-    cosines: FloatArray
-
-
 def expected_rows(
     poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
 ) -> FloatArray:
@@ -71,13 +52,6 @@ def expected_rows(
     lines = line_table(line[None], anchor[None])
     predict_readings(poses, places, readings.rows, lines, np.zeros_like(places), found)
     return found
-
-
-def expected_ranges(
-    poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray
-) -> Expected:
-    rows = expected_rows(poses, readings, line, anchor)
-    return Expected(rows[:, 0], rows[:, 1:4], rows[:, 4:6], rows[:, 6])
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
@@ -96,7 +70,7 @@ def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
 
 def columns_of(ekf: CloneEKF, clones: IntArray) -> IntArray:
     """Indices (n, 3) of clones in the state."""
-    first = clone_filter.clones_from(ekf.arrays.counts)
+    first = clones_from(ekf.arrays.counts)
     return np.asarray(first + 3 * places_of(ekf.arrays, clones)[:, None] + np.arange(3))
 
 
@@ -113,21 +87,23 @@ def keep_clones(ekf: CloneEKF, wanted: set[int]) -> None:
     clone_filter.keep_clones(ekf.arrays, np.array(sorted(wanted), dtype=float))
 
 
-def points_of(ekf: CloneEKF, readings: Readings, theta: float = math.nan) -> FloatArray:
-    return clone_filter.end_points(
-        ekf.arrays, places_of(ekf.arrays, readings.clones), readings.rows, theta
+def of_filter(ekf: CloneEKF, readings: Readings, std: float = 0.0) -> FilterReadings:
+    """The readings as the filter takes them."""
+    return FilterReadings(
+        places_of(ekf.arrays, readings.clones), readings.rows, readings.variances(std)
     )
+
+
+def points_of(ekf: CloneEKF, readings: Readings, theta: float = math.nan) -> FloatArray:
+    return clone_filter.end_points(ekf.arrays, of_filter(ekf, readings), theta)
 
 
 def observe(
     ekf: CloneEKF, readings: Readings, index: int, std: float, iterations: int, huber: float
 ) -> None:
-    places = places_of(ekf.arrays, readings.clones)
-    variances = readings.variances(std)
-    clone_filter.observe(ekf.arrays, places, readings.rows, index, variances, iterations, huber)
+    own = of_filter(ekf, readings, std)
+    clone_filter.observe(ekf.arrays, own, index, ekf, iterations, huber)
 
 
 def compared(ekf: CloneEKF, readings: Readings, index: int, std: float) -> float:
-    places = places_of(ekf.arrays, readings.clones)
-    variances = readings.variances(std)
-    return clone_filter.compare(ekf.arrays, places, readings.rows, index, variances)
+    return compare_readings(ekf.arrays, of_filter(ekf, readings, std), index)

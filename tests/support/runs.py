@@ -108,3 +108,8 @@ def write_run(
     (folder / "result.json").write_text(json.dumps(result))
     (folder / "map.png").write_bytes(b"")
     return folder
+
+
+def result_of(folder: Path) -> dict[str, Any]:
+    """The content of the ``result.json`` of a folder."""
+    return Folder(folder).result

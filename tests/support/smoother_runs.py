@@ -38,22 +38,21 @@ def noisy_drive(seed, noise=0.02, mismatch=0.0, robots=1, walls=WALLS, places=RO
     return np.moveaxis(wheels, 0, 1), np.moveaxis(ranges, 0, 1), np.array(poses)
 
 
-def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS, places=ROUND):
+def noisy_filtered(seed, noise=0.02, **changes):
+    """A drive round a room as a filter leaves it that knew the poses."""
+    wheels, ranges, poses = noisy_drive(seed, noise, **changes)
+    poses = np.moveaxis(poses, 0, 1)
+    usable = np.ones(ranges.shape, dtype=bool)
+    nominal = NominalNoise(noise, WHEEL_VARIANCE)
+    return FilteredRun(ROBOT, nominal, wheels, ranges, usable, poses, np.zeros((*poses.shape, 3)))
+
+
+def noisy_run(seed, noise=0.02, prior=None, **changes):
     """The problem of a drive round a room that is reported with noise, and the true poses (n, t,
     3).
     """
-    wheels, ranges, poses = noisy_drive(seed, noise, mismatch, robots, walls, places)
-    filtered = np.moveaxis(poses, 0, 1)
-    run = FilteredRun(
-        ROBOT,
-        NominalNoise(noise, WHEEL_VARIANCE),
-        wheels,
-        ranges,
-        np.ones(ranges.shape, dtype=bool),
-        filtered,
-        np.zeros((*filtered.shape, 3)),
-    )
-    return make_problem(run, prior), poses
+    run = noisy_filtered(seed, noise, **changes)
+    return make_problem(run, prior), np.moveaxis(run.poses, 1, 0)
 
 
 def true_labels(problem, poses, walls=WALLS):

@@ -9,9 +9,10 @@ from typing import Annotated, Any
 
 import typer
 
+from limslam_agent.command_options import takes
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.help import Help
-from limslam_agent.terminal import run_command, say, takes
+from limslam_agent.terminal import run_command, say
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
@@ -54,7 +55,7 @@ class EmulatorOptions(Bounded):
 
 @app.command()
 @takes(EmulatorOptions)
-def emulate(**given: Any) -> None:
+def emulate(**arguments: Any) -> None:
     """Emulate a robot until the process is ended."""
     from limslam_agent.live.emulator.emulator import Body, Emulator, run
     from limslam_agent.live.emulator.ports import PtyPort, RobotAtPort, UdpPort
@@ -62,7 +63,7 @@ def emulate(**given: Any) -> None:
     from limslam_env.config import NoiseConfig
     from limslam_env.worlds.formats.loading import load_world
 
-    chosen = {name: value for name, value in given.items() if value is not None}
+    chosen = {name: value for name, value in arguments.items() if value is not None}
     options = EmulatorOptions(**chosen)
     body = Body(
         load_world(options.world),

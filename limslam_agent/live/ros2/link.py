@@ -99,7 +99,7 @@ class RosLink(Connection):
             if self.clock() - begin > patience:
                 raise NoRobotError(f"within {patience:g} s {self._missing(found)}")
             for event in self._ports.take(POLL):
-                found += self._taken(event)
+                found += self._measurements(event)
         steps = [after.sample.time - before.sample.time for before, after in pairwise(found)]
         period, watchdog = (
             max(1, round(1e3 * each)) for each in (np.median(steps), self._parameters.watchdog)
@@ -114,7 +114,7 @@ class RosLink(Connection):
         self._ready = []
         for event in self._ports.take(0.0 if messages else timeout):
             begun = self._odometer.begun
-            measurements = self._taken(event)
+            measurements = self._measurements(event)
             if self._odometer.begun > begun and self._hello is not None:
                 messages.append(replace(self._hello, boot=self._odometer.begun))
             messages += [self._telemetry(each) for each in measurements]
@@ -132,7 +132,7 @@ class RosLink(Connection):
     def greet(self) -> None:
         """Do nothing: topics are found again by ROS itself."""
 
-    def _taken(self, event: Event) -> list[Measurement]:
+    def _measurements(self, event: Event) -> list[Measurement]:
         """The measurements that are complete with a message."""
         self._heard.add(event.number)
         try:

@@ -83,11 +83,11 @@ class Parameters(Bounded):
         Raises a ValueError if there is no such parameter, or a value cannot be used.
         """
         # ROS has arrays of numbers where a file of settings has lists.
-        told = {
+        lists = {
             name: list(value) if isinstance(value, array) else value
             for name, value in values.items()
         }
-        return updated(cls(), told, "the parameters of the node")
+        return updated(cls(), lists, "the parameters of the node")
 
     @property
     def mount(self) -> FloatArray:
@@ -136,7 +136,7 @@ class RosNode:
     def __init__(self, node: Any) -> None:
         self._node = node
         self.build = MessageBuilder(make)
-        self.parameters = Parameters.of(_given(node))
+        self.parameters = Parameters.of(_set_parameters(node))
         self.orders = Orders(is_paused=not self.parameters.explore)
         self.watchdog_stops = 0
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
@@ -345,7 +345,7 @@ def _plain(value: Any) -> Any:
     return array("b" if value.dtype == np.int8 else "B", value.tobytes()) if is_bytes else value
 
 
-def _given(node: Any) -> dict[str, Any]:
+def _set_parameters(node: Any) -> dict[str, Any]:
     """The parameters that were set, without those of rclpy itself. The others are declared with
     their defaults.
     """

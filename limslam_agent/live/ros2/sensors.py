@@ -110,9 +110,9 @@ class RangeSensors:
         self._latest[number] = time
         times = [*self._times.values(), time]
         is_other = number in self._times or max(times) - min(times) > _TOGETHER * self._period
-        done = self._taken() if is_other else []
+        done = self._collected() if is_other else []
         self._times[number], (self._ranges[number],) = time, in_mm([float(message.range)], *limits)
-        return done + (self._taken() if len(self._times) == len(self._wanted.beams) else [])
+        return done + (self._collected() if len(self._times) == len(self._wanted.beams) else [])
 
     def _describe(self, number: int, limits: tuple[float, float]) -> None:
         """Learn from the first message of each topic how far its beam sees."""
@@ -126,7 +126,7 @@ class RangeSensors:
                 self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams))
             )
 
-    def _taken(self) -> list[Reading]:
+    def _collected(self) -> list[Reading]:
         """The readings that were collected, which begin anew."""
         ranges = tuple(self._ranges.get(number) for number in range(len(self._wanted.beams)))
         reading = Reading(float(np.median([*self._times.values()])), ranges)

@@ -34,7 +34,7 @@ class Outputs:
         self._node = node
         self._link = link
         self._next_map = 0.0
-        self._told = ("", "")
+        self._published = ("", "")
         self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
         self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
         self._map = node.publisher("nav_msgs/msg/OccupancyGrid", "map", depth=1, is_kept=True)
@@ -48,9 +48,10 @@ class Outputs:
     def watch(self, session: Session) -> None:
         """Publish what the session believes after a decision."""
         self._publish_pose(session)
-        told = state_of(session), session.agent.status
-        if time.monotonic() >= self._next_map or told != self._told:
-            self._told, self._next_map = told, time.monotonic() + self._node.parameters.map_period
+        state = state_of(session), session.agent.status
+        if time.monotonic() >= self._next_map or state != self._published:
+            self._published = state
+            self._next_map = time.monotonic() + self._node.parameters.map_period
             self._publish_map(session)
 
     def obey(self, session: Session) -> None:
@@ -92,16 +93,15 @@ class Outputs:
     def _diagnosis(self, session: Session, at: float) -> Any:
         make = self._node.build.make
         agent = session.agent
-        figures = session.figures
-        told = {
+        figures = {
             "state": state_of(session),
             "walls": len(agent.slam.segments),
-            **figures,
+            **session.figures,
             "odometry_jumps": self._link.jumps,
         }
         values = [
             make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value))
-            for key, value in told.items()
+            for key, value in figures.items()
         ]
         status = make(
             "diagnostic_msgs/msg/DiagnosticStatus",

@@ -6,11 +6,12 @@ that saw only the polar cells near a direction would therefore not know what dri
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.cells import GridArray
+from limslam_agent.kernels.cells import GridArray, StampArray
 from limslam_agent.kernels.tables import FROM_X, FROM_Y, TOO_FAR, TOWARDS_X, TOWARDS_Y
 from limslam_env.compilation import compiled, entry_of
 from limslam_env.geometry import FloatArray, IntArray
@@ -31,65 +32,74 @@ _FADE = 0.95
 _SHOULDER = 0.7
 
 
+class Ground(NamedTuple):
+    """Cells (rows, columns): positive is free, negative is occupied, 0 is unknown. All cells beyond
+    are unknown.
+
+    ``corner`` has column and row of the lower left cell, counted from the world's origin, and
+    ``cell`` is the side of a cell, m.
+    """
+
+    values: GridArray
+    corner: IntArray
+    cell: float
+
+
+class Seen(NamedTuple):
+    """The number of the direction in which each cell (rows, columns) was counted last, and row and
+    column of the first one.
+    """
+
+    stamps: StampArray
+    corner: tuple[int, int]
+
+
 @compiled
-def has_room(
-    values: GridArray,
-    corner: IntArray,
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    radius: float,
-    cell: float,
-) -> bool:
+def value_at(ground: Ground, row: int, column: int) -> int:
+    """The value of a cell by its row and column from the world's origin."""
+    rows, columns = ground.values.shape
+    r = row - ground.corner[1]
+    c = column - ground.corner[0]
+    return ground.values[r, c] if 0 <= r < rows and 0 <= c < columns else 0
+
+
+@compiled
+def has_room(ground: Ground, x: float, y: float, cos: float, sin: float, radius: float) -> bool:
     """Whether no cell under the middle and the shoulders of a body at a place (m) with this heading
     is occupied.
     """
-    rows, columns = values.shape
     for side in range(-1, 2):
-        row = math.floor((y + side * _SHOULDER * radius * cos) / cell) - corner[1]
-        column = math.floor((x - side * _SHOULDER * radius * sin) / cell) - corner[0]
-        if 0 <= row < rows and 0 <= column < columns and values[row, column] < 0:
+        row = math.floor((y + side * _SHOULDER * radius * cos) / ground.cell)
+        column = math.floor((x - side * _SHOULDER * radius * sin) / ground.cell)
+        if value_at(ground, row, column) < 0:
             return False
     return True
 
 
 @compiled
 def count_on_beam(
-    values: GridArray,
-    corner: IntArray,
-    x: float,
-    y: float,
-    to_x: float,
-    to_y: float,
+    ground: Ground,
+    place: tuple[float, float],
+    step: tuple[float, float],
     steps: int,
-    cell: float,
-    counted: NDArray[np.int32],
-    counted_corner: tuple[int, int],
+    seen: Seen,
     stamp: int,
 ) -> float:
-    """The unknown cells that a beam from a place (m) crosses up to an occupied one and that are not
-    ``counted`` yet.
-
-    The beam takes ``steps`` steps (m) of the length of a cell. The first row and column of
-    ``counted`` lie at ``counted_corner``. Its cells are set to ``stamp``.
+    """The unknown cells that a beam from a place (m) crosses up to an occupied one and that have
+    not this stamp yet. The beam takes ``steps`` steps (m) of the length of a cell.
     """
-    rows, columns = values.shape
     total = 0.0
     weight = 1.0
     for i in range(steps):
-        row = math.floor((y + i * to_y) / cell)
-        column = math.floor((x + i * to_x) / cell)
-        r = row - corner[1]
-        c = column - corner[0]
-        value = values[r, c] if 0 <= r < rows and 0 <= c < columns else 0
+        row = math.floor((place[1] + i * step[1]) / ground.cell)
+        column = math.floor((place[0] + i * step[0]) / ground.cell)
+        value = value_at(ground, row, column)
         if value < 0:
             break
         if value == 0:
-            r = row - counted_corner[0]
-            c = column - counted_corner[1]
-            if counted[r, c] != stamp:
-                counted[r, c] = stamp
+            at = (row - seen.corner[0], column - seen.corner[1])
+            if seen.stamps[at] != stamp:
+                seen.stamps[at] = stamp
                 total += weight
             weight *= _FADE
     return total
@@ -97,12 +107,10 @@ def count_on_beam(
 
 @entry_of("limslam_agent.policies.learned", "limslam_agent.kernels")
 def look_ahead(
-    values: GridArray,
-    corner: IntArray,
+    ground: Ground,
     pose: FloatArray,
     beams: FloatArray,
     radius: float,
-    cell: float,
     directions: int,
     ahead: NDArray[np.float32],
 ) -> None:
@@ -110,18 +118,18 @@ def look_ahead(
 
     Parameters
     ----------
-    values, corner
-        Cells (rows, columns): positive is free, negative is occupied, 0 is unknown. Column and row
-        of the lower left cell, counted from the world's origin. All cells beyond are unknown.
-    pose, beams, radius, cell
-        Pose (3,), m and rad, rows of ``RobotSpec.beam_table``, radius of the body and side of a
-        cell, m.
+    ground
+        What is believed.
+    pose, beams, radius
+        Pose (3,), m and rad, rows of ``RobotSpec.beam_table``, and radius of the body, m.
     directions
         Number of directions, counter-clockwise from straight ahead.
     """
+    cell = ground.cell
     reach = 2 + math.ceil((PLACES[-1] * SPACING + beams[:, TOO_FAR].max() + radius) / cell)
-    counted = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.int32)
-    counted_corner = math.floor(pose[1] / cell) - reach, math.floor(pose[0] / cell) - reach
+    stamps = np.zeros((2 * reach + 1, 2 * reach + 1), dtype=np.int32)
+    corner = math.floor(pose[1] / cell) - reach, math.floor(pose[0] / cell) - reach
+    seen = Seen(stamps, corner)
     for direction in range(directions):
         heading = pose[2] + 2.0 * math.pi * direction / directions
         cos = math.cos(heading)
@@ -132,24 +140,15 @@ def look_ahead(
         for place in range(1, PLACES[-1] + 1):
             x = pose[0] + place * SPACING * cos
             y = pose[1] + place * SPACING * sin
-            is_open = is_open and has_room(values, corner, x, y, cos, sin, radius, cell)
-            for beam in range(len(beams) if is_open else 0):
-                from_x = x + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
-                from_y = y + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
-                to_x = cell * (cos * beams[beam, TOWARDS_X] - sin * beams[beam, TOWARDS_Y])
-                to_y = cell * (sin * beams[beam, TOWARDS_X] + cos * beams[beam, TOWARDS_Y])
+            is_open = is_open and has_room(ground, x, y, cos, sin, radius)
+            for beam in beams if is_open else beams[:0]:
+                from_x = x + cos * beam[FROM_X] - sin * beam[FROM_Y]
+                from_y = y + sin * beam[FROM_X] + cos * beam[FROM_Y]
+                to_x = cell * (cos * beam[TOWARDS_X] - sin * beam[TOWARDS_Y])
+                to_y = cell * (sin * beam[TOWARDS_X] + cos * beam[TOWARDS_Y])
+                steps = math.floor(beam[TOO_FAR] / cell)
                 total += count_on_beam(
-                    values,
-                    corner,
-                    from_x,
-                    from_y,
-                    to_x,
-                    to_y,
-                    math.floor(beams[beam, TOO_FAR] / cell),
-                    cell,
-                    counted,
-                    counted_corner,
-                    direction + 1,
+                    ground, (from_x, from_y), (to_x, to_y), steps, seen, direction + 1
                 )
             if place == PLACES[mark]:
                 ahead[mark * directions + direction] = total / FULL[mark]

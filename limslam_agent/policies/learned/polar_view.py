@@ -147,15 +147,13 @@ def observe(
 def _shown_ahead(
     grid: GridView, pose: FloatArray, robot: RobotSpec, config: ViewConfig
 ) -> NDArray[np.float32]:
-    from limslam_agent.policies.learned.look_ahead import look_ahead
+    from limslam_agent.policies.learned.look_ahead import Ground, look_ahead
 
     ahead = np.zeros(AHEAD * config.directions, dtype=np.float32)
     corner = np.rint(grid.low / grid.cell).astype(np.int64)
     # One kind of array, or the kernel would be compiled for each kind.
-    values = np.array(np.sign(grid.values), dtype=np.int8)
-    look_ahead(
-        values, corner, pose, robot.beam_table, robot.radius, grid.cell, config.directions, ahead
-    )
+    ground = Ground(np.array(np.sign(grid.values), dtype=np.int8), corner, grid.cell)
+    look_ahead(ground, pose, robot.beam_table, robot.radius, config.directions, ahead)
     return ahead
 
 

@@ -4,8 +4,7 @@ import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,11 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.kernels import tables
-from limslam_agent.kernels.extents import Looks
-from limslam_agent.kernels.repeats import is_new
-from limslam_agent.readings import TURN_LENGTH, as_readings
+from limslam_agent.readings import TURN_LENGTH
 from limslam_agent.slam.batch import compiled_steps as steps
-from limslam_agent.slam.batch.grid import CropArray, crop, update
+from limslam_agent.slam.batch.grid import crop, update
 from limslam_agent.slam.batch.state import (
     REFUSED,
     STEP,
@@ -27,28 +24,22 @@ from limslam_agent.slam.batch.state import (
     spec_of,
     states_for,
 )
-from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.pending_readings import (
-    DRIVEN,
     DRIVEN_AT,
-    FRESH,
-    SIDES,
-    TURNED,
     TURNED_AT,
+    Belief,
+    Pending,
+    Scan,
+    Setup,
 )
-from limslam_agent.slam.consistent.wall_map import WallExtent
+from limslam_agent.slam.consistent.wall_map import drawn_walls, intervals_of
 from limslam_env.compilation import compiled, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import at
 from limslam_env.geometry.numbers import LARGEST_COORDINATE
-from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
-_NUM_SIDES = len(SIDES)
 
-
-@dataclass(frozen=True, eq=False)
-class Beliefs:
+class Beliefs(NamedTuple):
     """Estimates for n robots.
 
     Attributes
@@ -192,19 +183,19 @@ class BatchSlam:
                 f"not {seen.shape} and {travel.shape}"
             )
         _refuse_if_not_finite(travel, chosen, "wheel travel")
-        seen = np.ascontiguousarray(as_readings(seen, self.robot.min_ranges, self.robot.max_ranges))
+        seen = np.ascontiguousarray(seen)
         travel = np.ascontiguousarray(travel)
-        poses = np.zeros((self.num_envs, tables.POSE))
-        covariances = np.zeros((self.num_envs, tables.POSE, tables.POSE))
-        grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
+        beliefs = Beliefs(
+            np.zeros((self.num_envs, tables.POSE)),
+            np.zeros((self.num_envs, tables.POSE, tables.POSE)),
+            np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8),
+        )
         begun = np.zeros(1, dtype=np.int64)
         self._share(
             len(chosen),
-            lambda: step_some(
-                self._states, self._spec, seen, travel, chosen, begun, poses, covariances, grids
-            ),
+            lambda: step_some(self._states, self._spec, seen, travel, chosen, begun, beliefs),
         )
-        return Beliefs(poses, covariances, grids)
+        return beliefs
 
     def close(self) -> None:
         """End the threads. A later step starts new ones."""
@@ -218,33 +209,21 @@ class BatchSlam:
 
     def segments(self, number: int) -> FloatArray:
         """The walls of one robot's map (k, 4), m, in the world: those of ``WallMap.segments``."""
-        settings, (belief, walls) = self._extents, (self._states.filter, self._states.walls)
-        found = [np.zeros((0, 4))]
-        for index in range(belief.counts[number, tables.LINES]):
-            wall = walls.table[number, index]
-            if wall[tables.READINGS] < settings.min_readings:
-                continue
-            counted = walls.counted[number, index, :, : wall[tables.LENGTH]]
-            extent = WallExtent(
-                int(wall[tables.LOW]),
-                counted,
-                walls.reached[number, index, :, : wall[tables.LENGTH]],
-            )
-            line = belief.x[number, tables.POSE + 2 * index : tables.POSE + 2 * index + 2]
-            intervals = extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
-            found.append((belief.anchors[number, index] + at(line, intervals)).reshape(-1, 4))
-        every = np.concatenate(found)
-        return np.asarray(every[lengths(every) >= settings.min_length])
+        belief = self._states.belief
+        ekf = tables.Filter(*(each[number] for each in belief.ekf[:-1]))
+        walls = tables.Walls(*(each[number] for each in belief.walls))
+        intervals = [intervals_of(walls, index) for index in range(ekf.counts[tables.LINES])]
+        return drawn_walls(ekf, walls, intervals, self._extents)[0]
 
     @property
     def num_landmarks(self) -> IntArray:
         """Number of landmarks of each robot (n,), provisional ones included."""
-        return self._states.filter.counts[:, tables.LINES].copy()
+        return self._states.belief.ekf.counts[:, tables.LINES].copy()
 
     @property
     def num_closures(self) -> IntArray:
         """Number of pairs of landmarks that each robot has merged (n,)."""
-        return self._states.walls.tally[:, tables.CLOSURES].copy()
+        return self._states.belief.walls.tally[:, tables.CLOSURES].copy()
 
     @property
     def overflows(self) -> IntArray:
@@ -252,14 +231,14 @@ class BatchSlam:
 
         While the number is 0, the robot's estimates equal those of ``LineSlam``.
         """
-        return self._states.walls.tally[:, tables.OVERFLOWS].copy()
+        return self._states.belief.walls.tally[:, tables.OVERFLOWS].copy()
 
     @property
     def refused_readings(self) -> IntArray:
         """Number of readings of each robot that were skipped (n,): no readings (NaN), and negative
         numbers.
         """
-        return self._states.filter.counts[:, REFUSED].copy()
+        return self._states.belief.ekf.counts[:, REFUSED].copy()
 
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
         if mask is None:
@@ -296,29 +275,29 @@ def _refuse_if_not_finite(values: FloatArray, chosen: IntArray, name: str) -> No
 @compiled
 def state_of(states: States, number: int) -> States:
     """The state of one robot, as views of the arrays."""
-    ekf = states.filter
-    walls = states.walls
+    ekf = states.belief.ekf
+    walls = states.belief.walls
+    pending = states.belief.pending
     return States(
-        tables.Filter(
-            ekf.x[number],
-            ekf.P[number],
-            ekf.by_errors[number],
-            ekf.anchors[number],
-            ekf.clones[number],
-            ekf.counts[number],
-            ekf.errors,
-            ekf.bend,
+        Belief(
+            tables.Filter(
+                ekf.x[number],
+                ekf.P[number],
+                ekf.by_errors[number],
+                ekf.anchors[number],
+                ekf.clones[number],
+                ekf.counts[number],
+                ekf.bend,
+            ),
+            tables.Walls(
+                walls.table[number],
+                walls.counted[number],
+                walls.reached[number],
+                walls.ends[number],
+                walls.tally[number],
+            ),
+            Pending(pending.travel[number], pending.rows[number], pending.fill[number]),
         ),
-        tables.Walls(
-            walls.table[number],
-            walls.counted[number],
-            walls.reached[number],
-            walls.ends[number],
-            walls.tally[number],
-        ),
-        states.travel[number],
-        states.pending[number],
-        states.fill[number],
         states.contact[number],
         states.ticks[number],
         states.repeats[number],
@@ -328,74 +307,44 @@ def state_of(states: States, number: int) -> States:
 
 
 @compiled
-def accept(
-    state: States, ranges: FloatArray, wheels: FloatArray, spec: Spec, measured: BoolArray
-) -> FloatArray:
-    """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,)
-    are new.
-
-    The encoders' jitter (3, 3) is returned: see ``encoder_ticks.jitter_of``.
+def predict(state: States, values: FloatArray, wheels: FloatArray, spec: Spec) -> Scan:
+    """Predict a robot's pose by the wheel travel (2,), m, and sort the values (b,) that its sensor
+    reports.
     """
     settings = spec.settings[0]
-    beams = spec.beams
-    travel = state.travel
-    ekf = state.filter
-    walls = state.walls
-    hits = np.zeros(len(ranges), dtype=np.bool_)
+    ekf = state.belief.ekf
     ekf.counts[STEP] += 1
+    step = ekf.counts[STEP]
     increment, covariance = steps.wheel_motion(
         wheels, settings.axle, settings.wheel_variance, (0.0, 0.0)
     )
     moved = math.hypot(increment[0], increment[1]) + TURN_LENGTH * abs(increment[2])
-    for beam in range(len(ranges)):
-        is_number = math.isfinite(ranges[beam])
-        ekf.counts[REFUSED] += not is_number
-        step = ekf.counts[STEP]
-        period = spec.schedule[0, beam]
-        is_due = step == 0 or step % period == spec.schedule[1, beam]
-        is_wall = beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
-        is_fresh = is_new(state.repeats, beam, ranges[beam], is_wall, moved, is_due)
-        measured[beam] = is_number and is_fresh
-        hits[beam] = measured[beam] and is_wall
+    ranges = np.empty(len(values))
+    measured = (step % spec.schedule[0] == spec.schedule[1]) | (step == 0)
+    hits = np.empty(len(values), dtype=np.bool_)
+    ekf.counts[REFUSED] += steps.sort(
+        values, spec.limits, moved, state.repeats, ranges, measured, hits
+    )
     before = state.ticks.copy()
     for wheel in range(2):
         state.ticks[wheel] = steps.tick_by(before[wheel], wheels[wheel])
     covariance += steps.first_jitter(before, state.ticks, settings.axle)
-    jitter = steps.jitter_of(state.ticks, settings.axle)
-    angles = beams[:, tables.ANGLE]
-    too_near = beams[:, tables.TOO_NEAR]
-    radius = settings.radius
     variance, angle = steps.slip(
-        state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std
+        state.contact,
+        ranges,
+        measured,
+        increment[0],
+        spec.table[:, tables.ANGLE],
+        spec.table[:, tables.TOO_NEAR],
+        settings.radius,
+        settings.std,
     )
     if variance:
         covariance = covariance + steps.slip_covariance(variance, angle)
-    by_pose = np.zeros((tables.POSE, tables.POSE))
-    by_increment = np.zeros((tables.POSE, tables.POSE))
-    steps.move(
-        ekf.x,
-        ekf.P,
-        steps.size_of(ekf.counts),
-        0,
-        increment,
-        covariance,
-        by_pose,
-        by_increment,
-        tables.POSE,
-    )
-    travel[DRIVEN] += math.hypot(increment[0], increment[1])
-    travel[TURNED] += abs(increment[2])
-    if steps.is_due(travel, hits, spec.sides, settings):
-        looks = Looks(ranges, measured, beams, settings.std, settings.growth)
-        steps.clear(walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, looks)
-        if ekf.counts[tables.CLONES] == len(ekf.clones):
-            walls.tally[tables.OVERFLOWS] += 1
-            steps.prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
-        number = steps.clone(ekf, 0, jitter)
-        steps.collect(
-            travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, number
-        )
-    return jitter
+    derivatives = np.zeros((2, tables.POSE, tables.POSE))
+    steps.move(ekf, 0, increment, covariance, derivatives[0], derivatives[1])
+    steps.note_motion(state.belief.pending, 0, increment)
+    return Scan(step, ranges, measured, hits, steps.jitter_of(state.ticks, settings.axle))
 
 
 @steps.entry
@@ -406,11 +355,9 @@ def step_some(
     wheels: FloatArray,
     chosen: IntArray,
     begun: IntArray,
-    pose: FloatArray,
-    covariance: FloatArray,
-    grids: CropArray,
+    beliefs: Beliefs,
 ) -> None:
-    """Update chosen robots by one observation each, and fill their rows of the estimates.
+    """Update chosen robots by one observation each, and fill their rows of the beliefs.
 
     ``begun`` (1,) counts the chosen robots that some thread has begun with. Steps differ in cost,
     so each thread takes the next robot when it has finished one.
@@ -419,66 +366,45 @@ def step_some(
     # are few levels.
     stamps = np.zeros((states.grid.shape[1], states.grid.shape[2]), dtype=np.int32)
     settings = spec.settings[0]
-    measured = np.zeros(ranges.shape[1], dtype=np.bool_)
+    setup = Setup(settings, spec.table, spec.sides)
     place = next_of(begun)
     while place < len(chosen):
         number = chosen[place]
         state = state_of(states, number)
-        ekf = state.filter
-        travel = state.travel
-        jitter = accept(state, ranges[number], wheels[number], spec, measured)
-        for side in range(_NUM_SIDES):
-            is_over = steps.has_ended(travel, state.fill, side)
-            if state.fill[side, FRESH] >= settings.batch or is_over:
-                steps.process(
-                    ekf,
-                    state.walls,
-                    state.pending,
-                    state.fill,
-                    side,
-                    travel[DRIVEN],
-                    settings,
-                    spec.beams,
-                    is_over,
-                    None,
-                )
-        pose[number] = ekf.x[: tables.POSE]
-        covariance[number] = ekf.P[: tables.POSE, : tables.POSE] + steps.turned(jitter, ekf.x[2])
-        update(
-            pose[number],
-            state.grid,
-            state.window,
-            ranges[number],
-            measured,
-            settings,
-            spec.beams,
-            stamps,
-            place + 1,
+        scan = predict(state, ranges[number], wheels[number], spec)
+        steps.measure(state.belief, 0, scan, setup, None)
+        ekf = state.belief.ekf
+        pose = ekf.x[: tables.POSE]
+        beliefs.pose[number] = pose
+        beliefs.covariance[number] = ekf.P[: tables.POSE, : tables.POSE] + steps.turned(
+            scan.jitter, pose[2]
         )
-        if grids.shape[3]:
-            crop(pose[number], state.grid, state.window, settings.cell, grids[number, 0])
+        update(state, scan, setup, stamps, place + 1)
+        if beliefs.grid.shape[3]:
+            crop(pose, state.grid, state.window, settings.cell, beliefs.grid[number, 0])
         place = next_of(begun)
 
 
 @compiled
 def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
-    ekf = state.filter
+    ekf = state.belief.ekf
+    pending = state.belief.pending
     ekf.counts[:] = 0
     ekf.counts[tables.POSES_END] = tables.POSE
     ekf.counts[tables.LINES_FROM] = tables.POSE
     ekf.counts[STEP] = -1
     ekf.x[: tables.POSE] = start
     ekf.P[: tables.POSE, : tables.POSE] = 0.0
-    state.travel[:] = 0.0
-    state.fill[:] = 0
-    state.walls.tally[:] = 0
+    pending.travel[:] = 0.0
+    pending.travel[0, DRIVEN_AT] = -np.inf
+    pending.travel[0, TURNED_AT] = -np.inf
+    pending.fill[:] = 0
+    state.belief.walls.tally[:] = 0
     state.contact[:] = -1.0
     state.ticks[:] = 0.0
     state.repeats[:] = 0.0
     state.repeats[:, tables.PREVIOUS] = math.nan
-    state.travel[DRIVEN_AT] = -np.inf
-    state.travel[TURNED_AT] = -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2
     state.window[0] = math.floor(start[1] / cell) - half

@@ -12,8 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.cells import SKIPPED, GridArray, StampArray, change_cells, touched_cells
+from limslam_agent.kernels.tables import POSE
+from limslam_agent.slam.batch.state import States
+from limslam_agent.slam.consistent.pending_readings import Scan, Setup
 from limslam_env.compilation import compiled
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray
 
 CropArray: TypeAlias = NDArray[np.uint8]
 
@@ -44,22 +47,18 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 
 
 @compiled
-def update(
-    pose: FloatArray,
-    grid: GridArray,
-    window: IntArray,
-    ranges: FloatArray,
-    measured: BoolArray,
-    settings: Any,
-    beams: FloatArray,
-    stamps: StampArray,
-    stamp: int,
-) -> None:
-    """Update a grid by one step's readings (b,), m, of which those ``measured`` (b,) are new.
+def update(state: States, scan: Scan, setup: Setup, stamps: StampArray, stamp: int) -> None:
+    """Update a robot's grid by the new readings of a step.
 
     ``stamps`` (cells, cells) is scratch, and ``stamp`` a number that it does not contain yet.
     """
-    cells = touched_cells(pose, ranges, measured, beams, settings.radius, settings.cell)
+    settings: Any = setup.settings
+    grid = state.grid
+    window = state.window
+    pose = state.belief.ekf.x[:POSE]
+    cells = touched_cells(
+        pose, scan.ranges, scan.measured, setup.table, settings.radius, settings.cell
+    )
     side = grid.shape[0]
     for axis in range(2):
         low = cells[:, axis].min()

@@ -10,8 +10,15 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.kernels.tables import POSE, REPEATS, Filter, Walls, empty_walls
-from limslam_agent.slam.consistent.pending_readings import SIDES, most_clones, sides_of
+from limslam_agent.kernels.tables import POSE, REPEATS, Filter, empty_walls
+from limslam_agent.slam.consistent.pending_readings import (
+    SIDES,
+    Belief,
+    Pending,
+    most_clones,
+    pending_of,
+    sides_of,
+)
 from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
@@ -61,14 +68,12 @@ class Capacity:
 
 
 class States(NamedTuple):
-    """All that is estimated for n robots. For one robot, the first axis of each array is missing.
+    """All that is known of n robots. For one robot, the first axis of each array is missing.
 
     Attributes
     ----------
-    filter, walls
-        Poses, lines and clones, and the extents of the landmarks.
-    travel, pending, fill
-        (n, 7), (n, 3, most, 5) and (n, 3, 2), as in ``consistent.pending_readings``.
+    belief
+        What is estimated.
     contact
         (n, beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
     ticks
@@ -80,11 +85,7 @@ class States(NamedTuple):
         modulo ``cells``. Row and column (n, 2) of the lowest world cell that the grid holds.
     """
 
-    filter: Filter
-    walls: Walls
-    travel: FloatArray
-    pending: FloatArray
-    fill: IntArray
+    belief: Belief
     contact: FloatArray
     ticks: FloatArray
     repeats: FloatArray
@@ -100,16 +101,19 @@ class Spec(NamedTuple):
     settings
         An array of one record: ``StepSettings``, and further numbers of ``AgentConfig`` and
         ``RobotSpec``.
-    beams
-        ``RobotSpec.beam_table``.
-    schedule, sides
-        Of each beam: ``RobotSpec.schedule``, and as of ``pending_readings.sides_of``.
+    table, sides
+        As of ``pending_readings.Setup``.
+    limits
+        As of ``kernels.readings.sort_readings`` (4, beams), m.
+    schedule
+        ``RobotSpec.schedule``.
     """
 
     settings: NDArray[np.void]
-    beams: FloatArray
-    schedule: IntArray
+    table: FloatArray
     sides: IntArray
+    limits: FloatArray
+    schedule: IntArray
 
 
 def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
@@ -134,8 +138,9 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
     return Spec(
         settings,
         np.array(robot.beam_table),
-        robot.schedule.copy(),
         sides_of(robot, estimator.pending.beams),
+        np.stack((robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far)),
+        robot.schedule.copy(),
     )
 
 
@@ -149,20 +154,20 @@ def states_for(
     widest = min(
         max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams
     )
-    belief = Filter(
-        x=np.zeros((num_envs, size)),
-        P=np.zeros((num_envs, size, size)),
-        by_errors=np.zeros((num_envs, size, 0)),
-        anchors=np.zeros((num_envs, capacity.landmarks, 2)),
-        clones=np.zeros((num_envs, clones), dtype=np.int64),
-        counts=np.zeros((num_envs, 7), dtype=np.int64),
-    )
+    robots = [pending_of(1, clones * widest)] * num_envs
     return States(
-        filter=belief,
-        walls=empty_walls(capacity.landmarks, capacity.bins, num_envs),
-        travel=np.zeros((num_envs, 7)),
-        pending=np.zeros((num_envs, len(SIDES), clones * widest, 5)),
-        fill=np.zeros((num_envs, len(SIDES), 2), dtype=np.int64),
+        belief=Belief(
+            Filter(
+                x=np.zeros((num_envs, size)),
+                P=np.zeros((num_envs, size, size)),
+                by_errors=np.zeros((num_envs, size, 0)),
+                anchors=np.zeros((num_envs, capacity.landmarks, 2)),
+                clones=np.zeros((num_envs, clones), dtype=np.int64),
+                counts=np.zeros((num_envs, 7), dtype=np.int64),
+            ),
+            empty_walls(capacity.landmarks, capacity.bins, num_envs),
+            Pending(*(np.stack(each) for each in zip(*robots, strict=True))),
+        ),
         contact=np.zeros((num_envs, len(robot.beams))),
         ticks=np.zeros((num_envs, 2)),
         repeats=np.zeros((num_envs, len(robot.beams), REPEATS)),

@@ -18,24 +18,35 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import correct_state, dense_rows, mirror, move_pose
-from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_END, Filter
-from limslam_agent.slam.consistent import clone_filter
-from limslam_agent.slam.consistent.clone_filter import (
-    begins_of,
+from limslam_agent.kernels.covariance import (
+    correct_state,
+    dense_block,
+    mirror,
+    move_pose,
+)
+from limslam_agent.kernels.tables import (
+    CLONES,
+    LINES,
+    LINES_FROM,
+    POSE,
+    POSES_END,
+    Filter,
+    Readings,
+    Update,
     clones_from,
-    equality,
     line_at,
-    num_lines,
     size_of,
 )
+from limslam_agent.kernels.updates import linear_update
+from limslam_agent.slam.consistent import clone_filter
+from limslam_agent.slam.consistent.clone_filter import equality, num_lines
 from limslam_agent.slam.consistent.separate_bias import (
     DELAY,
     TURNS,
     ConstantErrors,
     OdometryErrors,
     RangeErrors,
-    note_update,
+    SeenWall,
 )
 from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry import FloatArray
@@ -88,8 +99,8 @@ class CloneEKF:
         # Of the poses in the latest step: the change in the world, the jitter in the robot's frame,
         # and, since each step asks for it several times, the jitter in the world at a heading.
         self._motions = np.zeros((robots, POSE))
-        self._jitters = [np.zeros((POSE, POSE))] * robots
-        self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
+        self.jitters = [np.zeros((POSE, POSE))] * robots
+        self._in_world = [(math.nan, self.jitters[0], self.jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -99,7 +110,6 @@ class CloneEKF:
             np.zeros((0, 2)),
             np.zeros(0, dtype=np.int64),
             counts,
-            self._errors,
         )
 
     @property
@@ -111,7 +121,7 @@ class CloneEKF:
     def P(self) -> FloatArray:  # noqa: N802 (the literature's letter)
         """Its covariance (n, n), a view."""
         size = size_of(self.arrays.counts)
-        mirror(self.arrays.P, size, self._poses_end)
+        mirror(self.arrays)
         return self.arrays.P[:size, :size]
 
     @property
@@ -145,7 +155,7 @@ class CloneEKF:
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
-        for robot, jitter in enumerate(self._jitters):
+        for robot, jitter in enumerate(self.jitters):
             own = slice(POSE * robot, POSE * robot + POSE)
             heading = self.arrays.x.item(POSE * robot + 2)
             if self._in_world[robot][0] != heading or self._in_world[robot][1] is not jitter:
@@ -211,28 +221,27 @@ class CloneEKF:
         odometry = self._errors.odometry
         if odometry is None:
             return
-        (errors, covariance), x, P = odometry.estimate_of(slice(None)), self.x, self.P
+        errors, covariance = odometry.estimate_of(slice(None))
         count = len(errors)
-        size = len(x) + len(errors)
+        size = len(self.x) + count
         first = self._lines_from
         by_errors = self.by_errors[:, :count]
-        of_ranges = self.by_errors[:, count:]
         added = np.arange(first, first + count)
         old = np.r_[:first, first + count : size]
         joint = by_errors @ covariance
-        arrays = self._room_for(size, self.num_lines, len(self.arrays.clones), of_ranges.shape[1])
-        arrays.P[np.ix_(old, old)] = P + joint @ by_errors.T
+        self._errors.odometry = None
+        arrays = self._room_for(size, self.num_lines, len(self.arrays.clones))
+        arrays.P[np.ix_(old, old)] = self.P + joint @ by_errors.T
         arrays.P[np.ix_(old, added)] = joint
         arrays.P[np.ix_(added, old)] = joint.T
         arrays.P[np.ix_(added, added)] = covariance
-        arrays.x[old] = x
-        arrays.by_errors[old] = of_ranges
+        arrays.x[old] = self.x
+        arrays.by_errors[old] = self.by_errors[:, count:]
         change = np.zeros(size)
         change[old] = by_errors @ errors
         change[added] = errors
         arrays.counts[LINES_FROM] += count
         self.arrays = arrays
-        self._errors.odometry = None
         self._correct(change)
 
     def know_calibration(
@@ -258,62 +267,42 @@ class CloneEKF:
         if self.calibration() is None:
             return
         arrays = self.arrays
-        size = size_of(self.arrays.counts)
         column = np.array([self._calibration_part(robot).stop - 1])
-        row = dense_rows(arrays.P, size, self._poses_end, column)
-        factor = np.sqrt(row[:, column] + variance)
         innovation = drift - arrays.x[column]
-        whitened = row / factor
-        change = whitened.T @ (innovation / factor[0])
-        nothing = np.zeros((size, POSE))
-        moved = correct_state(
-            arrays.x,
-            arrays.P,
-            size,
-            begins_of(arrays.counts),
-            arrays.anchors,
-            self.num_lines,
-            nothing,
-            whitened,
-            change,
+        nothing = np.zeros((len(self.x), POSE))
+        update = linear_update(
+            arrays, column, np.ones((1, 1)), innovation, np.full((1, 1), variance), nothing
         )
-        note_update(
-            arrays,
-            np.ones((1, 1)),
-            column,
-            innovation,
-            factor,
-            whitened,
-            nothing,
-            moved,
-            None,
-            np.zeros(1),
-            0,
-        )
+        self.corrected(update, correct_state(arrays, update), 0)
+
+    def corrected(
+        self,
+        update: Update,
+        after: FloatArray,
+        wall: int,
+        used: Readings | None = None,
+        expected: FloatArray | None = None,
+    ) -> None:
+        """An update by measurements of a wall has corrected the state. ``after`` is what
+        ``correct_state`` has returned; the others are those of ``update_by_readings``, if it has
+        found the update.
+        """
+        seen = None
+        if used is not None and expected is not None:
+            headings = self.x[clones_from(self.arrays.counts) + POSE * used.places + 2]
+            seen = SeenWall(used.rows, expected, headings, self.line(wall).item(1))
+        self._errors.learn(self.by_errors, update, after, wall, seen)
 
     def predict(self, motion: Motion, robot: int = 0) -> None:
         """Move a robot."""
         arrays = self.arrays
-        at = POSE * robot
-        size = size_of(self.arrays.counts)
+        moved = slice(POSE * robot, POSE * robot + POSE)
         by_pose = np.zeros((POSE, POSE))
         by_increment = np.zeros((POSE, POSE))
-        moved = slice(at, at + POSE)
         increment = motion.increment
-        covariance = motion.covariance
-        move_pose(
-            arrays.x,
-            arrays.P,
-            size,
-            at,
-            increment,
-            covariance,
-            by_pose,
-            by_increment,
-            self._poses_end,
-        )
+        move_pose(arrays, moved.start, increment, motion.covariance, by_pose, by_increment)
         self._motions[robot] = by_increment @ increment
-        self._jitters[robot] = motion.jitter
+        self.jitters[robot] = motion.jitter
         if not motion.has_turned:
             self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
@@ -365,26 +354,27 @@ class CloneEKF:
         wanted = self._lines_from + 2 * lines + POSE * clones
         if wanted > len(arrays.x) or lines > len(arrays.anchors) or clones > len(arrays.clones):
             room = wanted + wanted // 8 + 2 * _LINES + POSE * _CLONES
-            self.arrays = self._room_for(
-                room, lines + _LINES, clones + _CLONES, arrays.by_errors.shape[1]
-            )
-            self.arrays.x[:size] = arrays.x[:size]
-            self.arrays.P[:size, :size] = arrays.P[:size, :size]
-            self.arrays.by_errors[:size] = arrays.by_errors[:size]
+            self.arrays = new = self._room_for(room, lines + _LINES, clones + _CLONES)
+            new.x[:size] = arrays.x[:size]
+            new.P[:size, :size] = arrays.P[:size, :size]
+            new.by_errors[:size] = arrays.by_errors[:size]
 
     def clone(self, robot: int = 0) -> int:
         """Add the pose at which a robot's present readings were taken to the state, and return its
-        number.
-
-        It is a copy of the robot's pose with its jitter. Late readings were taken where the robot
-        was before.
+        number. It is a copy of the robot's pose with its jitter.
         """
         self.make_room(clones=1)
-        number = clone_filter.clone(self.arrays, robot, self._jitters[robot])
+        number = clone_filter.clone(self.arrays, robot, self.jitters[robot])
+        self.cloned(robot)
+        return number
+
+    def cloned(self, robot: int) -> None:
+        """A robot's pose has just been cloned. Late readings were taken where the robot was
+        before.
+        """
         ranges = self._errors.ranges
         if ranges is not None:
             self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
-        return number
 
     def add_line(self, theta: float, anchor: FloatArray) -> int:
         """Add a line with an uninformative prior, and return its index.
@@ -438,7 +428,7 @@ class CloneEKF:
         part = slice(self._poses_end, self._lines_from)
         size = self._lines_from + lines.size
         kept = np.r_[: self._poses_end, self._lines_from : size]
-        arrays = self._room_for(size, len(lines), 0, self.arrays.by_errors.shape[1])
+        arrays = self._room_for(size, len(lines), 0)
         arrays.P[part, part] = self.P[part, part]
         arrays.P[np.ix_(kept, kept)] = covariance
         arrays.x[:] = np.concatenate((poses.ravel(), self.x[part], lines.ravel()))
@@ -481,11 +471,8 @@ class CloneEKF:
         return slice(first, first + 2)
 
     def _block(self, part: slice) -> FloatArray:
-        """Covariance of some states that follow the poses, of which only the lower triangle is
-        kept.
-        """
-        lower = np.tril(self.arrays.P[part, part])
-        return np.asarray(lower + np.tril(lower, -1).T)
+        """Covariance of some states that follow the poses."""
+        return dense_block(self.arrays.P, np.arange(part.start, part.stop))
 
     def _calibration_part(self, robot: int) -> slice:
         first = self._poses_end + POSE * robot
@@ -504,45 +491,28 @@ class CloneEKF:
         if ranges is None:
             return np.zeros((size, size))
         by_turns = self.by_errors[:size, -ranges.count :][:, TURNS]
-        return np.asarray(by_turns @ ranges.covariance_of_turns @ by_turns.T)
+        return np.asarray(by_turns @ ranges.turns[1] @ by_turns.T)
 
-    def _room_for(self, size: int, lines: int, clones: int, errors: int) -> Filter:
+    def _room_for(self, size: int, lines: int, clones: int) -> Filter:
         """Arrays for a state of a size, all zero, with the anchors, clones and counts of this
         filter.
         """
         old = self.arrays
-        counts = self.arrays.counts.copy()
         anchors = np.zeros((lines, 2))
         numbers = np.zeros(clones, dtype=np.int64)
         known = min(lines, self.num_lines)
         open_clones = min(clones, self.num_clones)
         anchors[:known] = old.anchors[:known]
         numbers[:open_clones] = old.clones[:open_clones]
-        by_errors = np.zeros((size, errors))
-        return Filter(
-            np.zeros(size),
-            np.zeros((size, size)),
-            by_errors,
-            anchors,
-            numbers,
-            counts,
-            self._errors,
-            self.arrays.bend,
-        )
+        by_errors = np.zeros((size, self._errors.count))
+        P = np.zeros((size, size))
+        return Filter(np.zeros(size), P, by_errors, anchors, numbers, old.counts.copy(), old.bend)
 
     def _correct(self, change: FloatArray) -> None:
-        """Add a correction (n,) to the state, and transport the error of P to the new state."""
-        arrays = self.arrays
+        """Add a correction (s,) to the state, and transport the error of P to the new state."""
         size = len(change)
-        moved = correct_state(
-            arrays.x,
-            arrays.P,
-            size,
-            begins_of(arrays.counts),
-            arrays.anchors,
-            self.num_lines,
-            np.zeros((size, POSE)),
-            np.zeros((0, size)),
-            change,
-        )
+        none = np.zeros((0, size))
+        nothing = np.zeros((size, POSE))
+        update = Update(np.arange(0), none, np.zeros(0), none, none, nothing, change)
+        moved = correct_state(self.arrays, update)
         self.by_errors[:] += moved @ self.by_errors[:POSE]

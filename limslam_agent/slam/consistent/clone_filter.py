@@ -7,6 +7,7 @@ estimator of one team calls them as they are, and the batch compiles them
 """
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -15,54 +16,37 @@ from limslam_agent.kernels.covariance import (
     copy_pose,
     correct_state,
     dense_block,
-    dense_rows,
     error_transport,
     keep_states,
     move_pose,
 )
-from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import (
     CLONES,
     LINES,
-    LINES_FROM,
     NEXT_CLONE,
     POSE,
-    POSES_END,
     Filter,
+    Readings,
+    Update,
+    clones_from,
+    line_at,
+    size_of,
 )
-from limslam_agent.kernels.updates import compare_readings, update_by_readings
-from limslam_agent.slam.consistent.limits import EQUALITY_NOISE, KNOWN_PLACE, LINE_PRIOR, MAX_ANGLE
-from limslam_agent.slam.consistent.separate_bias import note_readings, note_update
+from limslam_agent.kernels.updates import linear_update, update_by_readings
+from limslam_agent.slam.consistent.limits import (
+    EQUALITY_NOISE,
+    HUBER,
+    ITERATIONS,
+    KNOWN_PLACE,
+    LINE_PRIOR,
+    MAX_ANGLE,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
 def num_lines(ekf: Filter) -> int:
     """How many lines the filter holds."""
     return int(ekf.counts[LINES])
-
-
-# What is called all the time takes the counts only: compiled code counts references to each array
-# that it hands on.
-
-
-def line_at(counts: IntArray, index: int) -> int:
-    """Index in the state at which a line begins."""
-    return int(counts[LINES_FROM] + 2 * index)
-
-
-def clones_from(counts: IntArray) -> int:
-    """Index in the state at which the clones begin."""
-    return int(counts[LINES_FROM] + 2 * counts[LINES])
-
-
-def size_of(counts: IntArray) -> int:
-    """Length of the state."""
-    return int(counts[LINES_FROM] + 2 * counts[LINES] + POSE * counts[CLONES])
-
-
-def begins_of(counts: IntArray) -> tuple[int, int, int]:
-    """Where the poses end in the state, and where lines and clones begin."""
-    return int(counts[POSES_END]), int(counts[LINES_FROM]), clones_from(counts)
 
 
 def line_of(ekf: Filter, index: int) -> tuple[float, float]:
@@ -90,39 +74,11 @@ def lines_near(ekf: Filter, theta: float, x: float, y: float, offset: float) -> 
     return np.flatnonzero((turn < MAX_ANGLE) & (off < offset))
 
 
-def end_points(ekf: Filter, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
+def end_points(ekf: Filter, readings: Readings, theta: float) -> FloatArray:
     """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; on the middle
     of beams if NaN.
     """
-    return ends_of_beams(ekf.x, clones_from(ekf.counts), places, readings, theta)
-
-
-def straight_segments(
-    ekf: Filter,
-    places: IntArray,
-    readings: FloatArray,
-    points: FloatArray,
-    members: IntArray,
-    line: FloatArray,
-    std: float,
-    variances: FloatArray,
-) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Cut readings near one line into straight segments: ``kernels.segments.cut_at_bends``."""
-    start = clones_from(ekf.counts)
-    return cut_at_bends(
-        ekf.x, ekf.P, start, places, readings, points, members, line, std, variances
-    )
-
-
-def compare(
-    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
-) -> float:
-    """How badly readings fit a line: ``kernels.updates.compare_readings``."""
-    line = line_at(ekf.counts, index)
-    anchor = anchor_of(ekf, index)
-    return compare_readings(
-        ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances
-    )
+    return ends_of_beams(ekf.x, clones_from(ekf.counts), readings.places, readings.rows, theta)
 
 
 def clone(ekf: Filter, robot: int, jitter: FloatArray) -> int:
@@ -133,22 +89,20 @@ def clone(ekf: Filter, robot: int, jitter: FloatArray) -> int:
     ``jitter`` (3, 3) is the covariance of their difference, in the robot's frame.
     """
     number = ekf.counts[NEXT_CLONE]
-    size = size_of(ekf.counts)
-    whole = ekf.counts[POSES_END]
-    copy_pose(ekf.x, ekf.P, ekf.by_errors, size, whole, POSE * robot)
-    by_pose = np.zeros((POSE, POSE))
-    by_increment = np.zeros((POSE, POSE))
-    move_pose(ekf.x, ekf.P, size + POSE, size, np.zeros(POSE), jitter, by_pose, by_increment, whole)
+    at = size_of(ekf.counts)
+    copy_pose(ekf, POSE * robot)
     ekf.clones[ekf.counts[CLONES]] = number
     ekf.counts[CLONES] += 1
     ekf.counts[NEXT_CLONE] += 1
+    by_pose = np.zeros((POSE, POSE))
+    by_increment = np.zeros((POSE, POSE))
+    move_pose(ekf, at, np.zeros(POSE), jitter, by_pose, by_increment)
     return int(number)
 
 
 def keep(ekf: Filter, is_kept: BoolArray) -> None:
     """Marginalise all of the state (n,) but those to keep. The caller updates the counts."""
-    kept = np.empty((2, len(is_kept)), dtype=np.int64)
-    keep_states(ekf.x, ekf.P, ekf.by_errors, ekf.counts[POSES_END], is_kept, kept)
+    keep_states(ekf, is_kept, np.empty((2, len(is_kept)), dtype=np.int64))
 
 
 def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
@@ -164,7 +118,8 @@ def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
     is_kept[clones_from(ekf.counts) :] = np.repeat(is_wanted, POSE)
     keep(ekf, is_kept)
     left = clones[is_wanted]
-    ekf.clones[: len(left)], ekf.counts[CLONES] = left, len(left)
+    ekf.clones[: len(left)] = left
+    ekf.counts[CLONES] = len(left)
 
 
 def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
@@ -177,7 +132,8 @@ def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
     index = num_lines(ekf)
     after = at + 2
     new = old + 2
-    ekf.x[after:new], ekf.by_errors[after:new] = ekf.x[at:old].copy(), ekf.by_errors[at:old].copy()
+    ekf.x[after:new] = ekf.x[at:old].copy()
+    ekf.by_errors[after:new] = ekf.by_errors[at:old].copy()
     ekf.P[after:new, :old] = ekf.P[at:old, :old].copy()
     ekf.P[:new, after:new] = ekf.P[:new, at:old].copy()
     ekf.P[at:after, :new] = 0.0
@@ -185,7 +141,8 @@ def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
     ekf.by_errors[at:after] = 0.0
     ekf.x[at] = 0.0
     ekf.x[at + 1] = theta
-    ekf.P[at, at], ekf.P[at + 1, at + 1] = LINE_PRIOR
+    ekf.P[at, at] = LINE_PRIOR[0]
+    ekf.P[at + 1, at + 1] = LINE_PRIOR[1]
     ekf.anchors[index, 0] = x
     ekf.anchors[index, 1] = y
     ekf.counts[LINES] += 1
@@ -194,44 +151,23 @@ def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
 
 def observe(
     ekf: Filter,
-    places: IntArray,
-    readings: FloatArray,
+    readings: Readings,
     index: int,
-    variances: FloatArray,
-    iterations: int,
-    huber: float,
+    listener: Any,
+    iterations: int = ITERATIONS,
+    huber: float = HUBER,
 ) -> None:
     """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 
-    The readings (n, 6) with variances (n,), m^2, were taken from the clones at these places (n,).
     Residuals of more than ``huber`` standard deviations are down-weighted (P. Huber, "Robust
-    estimation of a location parameter", 1964); 0 for no weights.
+    estimation of a location parameter", 1964); 0 for no weights. The listener, unless it is None,
+    is told how the state is corrected.
     """
-    counts = ekf.counts
-    found = update_by_readings(
-        ekf.x,
-        ekf.P,
-        size_of(counts),
-        begins_of(counts),
-        ekf.anchors,
-        counts[LINES],
-        index,
-        places,
-        readings,
-        variances,
-        iterations,
-        huber,
-        ekf.bend,
-    )
-    moved, change, _, _, _, _, W, _, chosen = found
-    if not len(chosen):
-        return
-    again = correct_state(
-        ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change
-    )
-    note_readings(
-        ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts), index
-    )
+    update, used, expected = update_by_readings(ekf, readings, index, iterations, huber)
+    if len(used.places):
+        after = correct_state(ekf, update)
+        if listener is not None:
+            listener.corrected(update, after, index, used, expected)
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -246,8 +182,10 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
     difference (G. Huang, A. Mourikis and S. Roumeliotis, "Observability-based rules for designing
     consistent EKF SLAM estimators", 2010).
     """
-    (d, theta), (other_d, other) = line_of(ekf, older), line_of(ekf, younger)
-    (from_x, from_y), (x, y) = anchor_of(ekf, older), anchor_of(ekf, younger)
+    d, theta = line_of(ekf, older)
+    other_d, other = line_of(ekf, younger)
+    from_x, from_y = anchor_of(ekf, older)
+    x, y = anchor_of(ekf, younger)
     cos = math.cos(theta)
     sin = math.sin(theta)
     is_turned = math.cos(theta - other) < 0.0
@@ -264,10 +202,8 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
     for k in range(POSE):
         columns[k] = k
     for k in range(2):
-        columns[POSE + k], columns[POSE + 2 + k] = (
-            line_at(ekf.counts, older) + k,
-            line_at(ekf.counts, younger) + k,
-        )
+        columns[POSE + k] = line_at(ekf.counts, older) + k
+        columns[POSE + 2 + k] = line_at(ekf.counts, younger) + k
     along_x = math.cos(other) - sign * cos
     along_y = math.sin(other) - sign * sin
     variance = 0.0
@@ -289,7 +225,25 @@ def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, Float
     return off, H @ dense_block(ekf.P, columns) @ H.T
 
 
-def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
+def equalising(
+    ekf: Filter, older: int, younger: int, start: FloatArray, at_first: FloatArray
+) -> Update:
+    """The update by the constraint that two lines are equal, linearised where the state is now.
+
+    The filter's state was ``start`` (s,), where :func:`error_transport` was ``at_first`` (s, 3).
+    """
+    off, H, columns = equality(ekf, older, younger)
+    so_far = ekf.x[: len(start)] - start
+    moved = error_transport(ekf) - at_first
+    noise = np.diag(np.array(EQUALITY_NOISE))
+    update = linear_update(ekf, columns, H, H @ so_far[columns] - off, noise, moved)
+    update.change[:] -= so_far
+    return update
+
+
+def merge(
+    ekf: Filter, older: int, younger: int, listener: Any, iterations: int = ITERATIONS
+) -> None:
     """Merge two lines: update by the constraint that they are equal, and marginalise the younger
     one.
 
@@ -298,41 +252,16 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
     about the global heading.
     """
     size = size_of(ekf.counts)
-    begins = begins_of(ekf.counts)
     count = num_lines(ekf)
     start = ekf.x[:size].copy()
-    change = np.zeros(size)
-    at_first = error_transport(ekf.x, size, begins, ekf.anchors, count)
-    pose = ekf.P[:POSE, :size].copy()
-    W = np.zeros((2, size))
-    factor = np.zeros((2, 2))
-    moved = at_first
-    H = factor
-    columns = np.arange(0)
-    innovation = factor[0]
-    for _ in range(iterations):
-        ekf.x[:size] += change
-        moved = error_transport(ekf.x, size, begins, ekf.anchors, count) - at_first
-        off, H, columns = equality(ekf, older, younger)
-        # The rows of P as a transport of its error by ``moved`` changes them: see
-        # ``correct_state``.
-        rows = dense_rows(ekf.P, size, begins[0], columns) + moved[columns] @ pose
-        HP = H @ (rows + rows[:, :POSE].copy() @ moved.T.copy())
-        so_far = ekf.x[:size] - start
-        innovation = H @ so_far[columns] - off
-        S = HP[:, columns] @ H.T
-        # With S = L L^T and W = L^-1 H P, the correction is W^T L^-1 y.
-        factor[0, 0] = math.sqrt(S[0, 0] + EQUALITY_NOISE[0])
-        factor[1, 0] = S[1, 0] / factor[0, 0]
-        factor[1, 1] = math.sqrt(S[1, 1] + EQUALITY_NOISE[1] - factor[1, 0] ** 2)
-        W[0] = HP[0] / factor[0, 0]
-        W[1] = (HP[1] - factor[1, 0] * W[0]) / factor[1, 1]
-        first = innovation[0] / factor[0, 0]
-        change = (
-            first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
-        )
-    again = correct_state(ekf.x, ekf.P, size, begins, ekf.anchors, count, moved, W, change)
-    note_update(ekf, H, columns, innovation, factor, W, moved, again, None, np.zeros(2), older)
+    at_first = error_transport(ekf)
+    update = equalising(ekf, older, younger, start, at_first)
+    for _ in range(iterations - 1):
+        ekf.x[:size] += update.change
+        update = equalising(ekf, older, younger, start, at_first)
+    after = correct_state(ekf, update)
+    if listener is not None:
+        listener.corrected(update, after, older)
     is_kept = np.ones(size, dtype=np.bool_)
     is_kept[line_at(ekf.counts, younger) : line_at(ekf.counts, younger) + 2] = False
     keep(ekf, is_kept)

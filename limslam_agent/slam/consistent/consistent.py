@@ -15,23 +15,20 @@ import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.kernels.tables import FEWEST, LINES, POSE, Walls
+from limslam_agent.kernels.tables import FEWEST, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import (
-    DRIVEN,
-    DRIVEN_AT,
-    FRESH,
     RANGE,
     SIDES,
-    TURNED,
-    TURNED_AT,
     WAITING,
-    collect,
-    has_ended,
-    is_due,
+    Belief,
+    Scan,
+    Setup,
     most_clones,
+    note_motion,
+    pending_of,
     readings_of,
     sides_of,
 )
@@ -90,18 +87,14 @@ class ConsistentEstimator(Estimator):
         start_pose: FloatArray | None = None,
         sensor: RangeSensor | None = None,
     ) -> None:
-        super().__init__(robot, config, start_pose)
-        self._begin(sensor)
-
-    def _begin(self, sensor: RangeSensor | None) -> None:
         # Kernels. Who imports this module need not wait for numba.
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
-        robot = self.robot
+        super().__init__(robot, config, start_pose)
         robots = len(self.robots)
-        config = cast(ConsistentConfig, self.config.estimator)
-        calibration = config.self_calibration
-        errors = config.range_errors
+        own = self._own
+        calibration = own.self_calibration
+        errors = own.range_errors
         stds = (
             errors.stds(len(robot.beams) if robots == 1 else 0, robot.control_period)
             if errors.enabled
@@ -112,19 +105,15 @@ class ConsistentEstimator(Estimator):
         if calibration.calibrate == "always":
             self.filter.calibrate()
         self._with_heading: set[int] = set()  # robots whose calibration is one of headings
-        self._contacts = [Contacts(robot, self.config.range_std) for _ in self.robots]
-        pending = config.pending
-        self._sides = sides_of(robot, config.pending.beams)
+        self._contacts = [Contacts(robot, config.range_std) for _ in self.robots]
+        pending = own.pending
+        self._sides = sides_of(robot, pending.beams)
         widest = int(np.bincount(self._sides + 1, minlength=2)[1:].max())
         room = widest * most_clones(pending.batch, pending.max_clones, robots)
-        self._travel = np.zeros((robots, POSE + 1 + len(SIDES)))
-        self._travel[:, [DRIVEN_AT, TURNED_AT]] = -math.inf
-        rows = robots * len(SIDES)
-        self._pending = np.zeros((rows, room, 5))
-        self._fill = np.zeros((rows, 2), dtype=np.int64)
+        self._pending = pending_of(robots, room)
         self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
         self._assume(sensor or self._specified)
-        self._map: WallMap = WallMap(self.filter, config.extents)
+        self._map: WallMap = WallMap(self.filter, own.extents)
 
     def step(self, *observations: Observation) -> None:
         """Predict, collect the readings of beams that have hit no teammate, and process each side
@@ -133,21 +122,18 @@ class ConsistentEstimator(Estimator):
         motions = self._read(observations)
         for number, motion in enumerate(motions):
             self._predict(number, motion)
-        if len(self.robots) > 1:
-            self._drop_beams_on_robots()
+        self._drop_beams_on_robots()
         for number, front in enumerate(self.robots):
             self._measure(number, front)
+
+    @property
+    def _own(self) -> ConsistentConfig:
+        return cast(ConsistentConfig, self.config.estimator)
 
     @property
     def walls(self) -> Walls:
         """The landmarks without their lines, in arrays."""
         return self._map.arrays
-
-    def count_residuals(self, residuals: FloatArray, ranges: FloatArray) -> None:
-        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its
-        ranges (n,), m.
-        """
-        self._sensor.count(residuals, ranges)
 
     @property
     def association_limits(self) -> dict[str, float]:
@@ -207,11 +193,13 @@ class ConsistentEstimator(Estimator):
         """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad;
         None if no beam is.
         """
-        turns = self.sensor.turns
-        errors = self.filter.range_errors
-        if not turns or errors is None or not len(errors.turns):
+        assumed = self.sensor.turns
+        if not assumed or self.filter.range_errors is None:
             return None
-        return np.asarray(errors.turns + np.column_stack((turns, np.zeros(len(turns)))))
+        turns, covariance = self.filter.range_errors.turns
+        if not len(turns):
+            return None
+        return np.column_stack((turns + assumed, np.sqrt(covariance.diagonal())))
 
     @property
     def covariances(self) -> FloatArray:
@@ -256,15 +244,13 @@ class ConsistentEstimator(Estimator):
         self.filter.restart(state.pose, state.lines, state.anchors, state.covariance)
         new = self._map.replace(state.walls)
         known_as = [wall.known_as for wall in state.walls if wall.number == NEW]
-        reports = StepReports(self, 0, self.robots[0].step)
+        reports = self._reports(0)
         self._merge_recognised(new, known_as, reports)
         for number in new:
             places = np.flatnonzero(self._map.numbers == number)
             if len(places):
-                close_loops_of(
-                    self.filter.arrays, self.walls, int(places[0]), self.settings, reports
-                )
-        self._fill[:] = 0
+                close_loops_of(self._belief, int(places[0]), self.settings, reports)
+        self._pending.fill[:] = 0
 
     def relocate(
         self,
@@ -321,8 +307,7 @@ class ConsistentEstimator(Estimator):
         if motion.is_by_wheels:
             motion = self._contacts[number].loosened(motion, front.ranges, front.measured)
         self.filter.predict(motion, number)
-        self._travel[number, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
-        self._travel[number, TURNED] += abs(float(motion.increment[2]))
+        note_motion(self._pending, number, motion.increment)
 
     def _learn_from_turn(self, number: int, turn: Turn) -> None:
         """Make the constant errors of a robot's heading a part of the state, once, and observe its
@@ -331,7 +316,7 @@ class ConsistentEstimator(Estimator):
         if number not in self._with_heading:
             self._with_heading.add(number)
             self.filter.calibrate()
-            prior = cast(ConsistentConfig, self.config.estimator).self_calibration
+            prior = self._own.self_calibration
             self.filter.know_calibration(np.zeros(3), prior.heading_covariance, number)
         if turn.drift is not None:
             self.filter.observe_drift(turn.drift, turn.drift_variance, number)
@@ -343,31 +328,27 @@ class ConsistentEstimator(Estimator):
         return OdometryCalibration(*errors.tolist())
 
     def _measure(self, number: int, front: FrontEnd) -> None:
-        """Collect the new readings of a robot, and process each side that has enough of them."""
-        travel = self._travel[number]
-        settings = self.settings
-        own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
-        pending = self._pending[own]
-        fill = self._fill[own]
-        if is_due(travel, front.hits, self._sides, settings):
-            # A robot that stands sees nothing new: neither what beams end on nor what they pass.
-            self._clear_along_beams(number, front)
-            clone = self.filter.clone(number)
-            collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
-        for side in range(len(SIDES)):
-            is_over = has_ended(travel, fill, side)
-            if fill[side, FRESH] >= settings.batch or is_over:
-                self._process(number, side, front.step, is_over=is_over)
+        """Collect the new readings of a robot, and use each side that has enough of them."""
+        from limslam_agent.slam.consistent.step import measure
+
+        self._make_room()
+        jitter = self.filter.jitters[number]
+        scan = Scan(front.step, front.ranges, front.measured, front.hits, jitter)
+        measure(self._belief, number, scan, self._setup, self._reports(number))
         if (self.filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
             self.calibrate()
             self._assume(self.sensor._replace(bend=0.0))  # it may have been due to the wheels
         self._correct_sensor()
 
     def finish(self) -> None:
-        """Process all pending readings."""
-        for number, front in enumerate(self.robots):
+        """Use all pending readings."""
+        from limslam_agent.slam.consistent.step import use_side
+
+        for number in range(len(self.robots)):
+            reports = self._reports(number)
             for side in range(len(SIDES)):
-                self._process(number, side, front.step, is_over=True)
+                self._make_room()
+                use_side(self._belief, number, side, True, self._setup, reports)  # noqa: FBT003
 
     @property
     def pending_points(self) -> list[PendingPoints]:
@@ -375,13 +356,11 @@ class ConsistentEstimator(Estimator):
         from limslam_agent.slam.consistent.clone_filter import end_points
 
         found = []
-        table = self._mounted.beam_table
-        for row, (waiting, fresh) in enumerate(self._fill.tolist()):
-            places, readings, _ = readings_of(
-                self.filter.arrays, self._pending[row, :waiting], table, self.settings
-            )
+        ekf = self.filter.arrays
+        for row, (waiting, fresh) in enumerate(self._pending.fill.tolist()):
+            readings = readings_of(ekf, self._pending.rows[row, :waiting], self._setup)
             number, side = divmod(row, len(SIDES))
-            points = end_points(self.filter.arrays, places, readings, math.nan)
+            points = end_points(ekf, readings, math.nan)
             found.append(PendingPoints(number, SIDES[side], points, self.settings.batch, fresh))
         return found
 
@@ -389,17 +368,32 @@ class ConsistentEstimator(Estimator):
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
         self.filter.arrays = self.filter.arrays._replace(bend=sensor.bend)
-        self._mounted = sensor.mounted(self.robot)
         self.filter.has_turned_beams = bool(sensor.turns)
-        config = cast(ConsistentConfig, self.config.estimator)
-        self.settings = step_settings(config, sensor, self._sensor.usual_std)
+        self.settings = step_settings(self._own, sensor, self._sensor.usual_std)
+        table = sensor.mounted(self.robot).beam_table
+        self._setup = Setup(self.settings, table, self._sides)
+
+    @property
+    def _belief(self) -> Belief:
+        return Belief(self.filter.arrays, self._map.arrays, self._pending)
+
+    def _reports(self, number: int) -> StepReports:
+        step = self.robots[number].step
+        return StepReports(self, self._sensor, self._map, number, step)
+
+    def _make_room(self) -> None:
+        """Make room for another clone, and for all lines that the readings may show."""
+        waiting = int(self._pending.fill[:, WAITING].sum()) + len(self.robot.beams)
+        lines = len(self._pending.fill) + waiting // min(self.settings.min_votes, FEWEST)
+        self._map.make_room(lines)
+        self.filter.make_room(lines=lines, clones=1)
 
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the state for what was
         assumed before.
         """
         self.filter.correct_ranges(sensor.change_from(self.sensor))
-        pending = self._pending[..., RANGE]
+        pending = self._pending.rows[..., RANGE]
         pending[:] = sensor.true(self.sensor.reported(pending))
         self._assume(sensor)
 
@@ -463,50 +457,12 @@ class ConsistentEstimator(Estimator):
         if found is None:
             return None
         wheels = np.array([1.0, 0.0, 0.0] if self._with_heading else [0.5, 0.5, 0.0])
-        prior = cast(ConsistentConfig, self.config.estimator).self_calibration.size_std
+        prior = self._own.self_calibration.size_std
         return self._sensor.scaled(
             self.filter.range_errors,
             float(wheels @ found[0]),
             float(wheels @ found[1] @ wheels) ** 0.5,
             prior,
-        )
-
-    def _clear_along_beams(self, number: int, front: FrontEnd) -> None:
-        """Count the places of landmarks that a robot's new beams have passed through."""
-        from limslam_agent.kernels.extents import Looks, clear_along_beams
-
-        ekf = self.filter.arrays
-        sensor = self.sensor
-        if ekf.counts[LINES]:
-            clear_along_beams(
-                self.walls,
-                ekf.x,
-                ekf.P,
-                ekf.counts,
-                ekf.anchors,
-                POSE * number,
-                Looks(front.ranges, front.measured, self._mounted.beam_table, *sensor.numbers[:2]),
-            )
-
-    def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:
-        """Use the pending readings of a side of a robot."""
-        from limslam_agent.slam.consistent.association import process
-
-        row = number * len(SIDES) + side
-        lines = 1 + int(self._fill[row, WAITING]) // min(self.settings.min_votes, FEWEST)
-        self._map.make_room(lines)
-        self.filter.make_room(lines=lines)
-        process(
-            self.filter.arrays,
-            self.walls,
-            self._pending,
-            self._fill,
-            row,
-            float(self._travel[number, DRIVEN]),
-            self.settings,
-            self._mounted.beam_table,
-            is_over,
-            StepReports(self, number, step),
         )
 
     def _merge_recognised(
@@ -527,4 +483,4 @@ class ConsistentEstimator(Estimator):
         # The younger landmark is removed: the last ones first, so that the others keep their
         # places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
-            merge_landmarks(self.filter.arrays, self.walls, older, younger, reports)
+            merge_landmarks(self._belief, older, younger, reports)

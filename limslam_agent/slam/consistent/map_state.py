@@ -2,7 +2,7 @@
 extents of the walls.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,15 +54,6 @@ class MapState:
         walls = [self.walls[index] for index in chosen]
         return MapState(self.pose, self.lines[chosen], self.anchors[chosen], covariance, walls)
 
-    @property
-    def moved_with(self) -> FloatArray:
-        """Derivative (3 + 2 m, 3) of the state by a rigid motion of the world that moves the
-        pose.
-        """
-        x, y, _ = self.pose.tolist()
-        own = poses_moved_with((x, y), self.pose[None])
-        return np.vstack((own, lines_moved_with((x, y), self.lines, self.anchors)))
-
     def by_walls(self, pose: FloatArray, ends: FloatArray) -> FloatArray:
         """Derivative (3, 2 m) of a pose (3,) by the lines, if it was found by readings that end on
         them.
@@ -72,10 +63,8 @@ class MapState:
         """
         if not self.walls:
             return np.zeros((POSE, 0))
-        off, (low, high) = (
-            ends[:, None] - self.anchors,
-            np.array([wall.extent.ends for wall in self.walls]).T,
-        )
+        off = ends[:, None] - self.anchors
+        low, high = np.array([wall.extent.ends for wall in self.walls]).T
         along = np.einsum("nmd,md->nm", off, direction(self.lines))
         away = np.abs(np.einsum("nmd,md->nm", off, normal(self.lines)) - self.lines[:, 0])
         away[(along < low - _AT_WALL) | (along > high + _AT_WALL)] = np.inf
@@ -109,6 +98,11 @@ class MapState:
             of this state. None if the covariance of this state does not explain the difference of
             the poses, or the walls do not determine the pose.
         """
+        # Kernels. Who imports this module need not wait for numba.
+        from limslam_agent.kernels.covariance import correct_state
+        from limslam_agent.kernels.updates import linear_update
+        from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+
         by_walls = self.by_walls(pose, ends)
         off = self.pose - pose
         off[2] = wrap_angle(off[2])
@@ -116,33 +110,22 @@ class MapState:
         by_state[:2, POSE:] -= np.outer([-off[1], off[0]], by_walls[2])
         x, y, _ = pose.tolist()
         determined = by_walls @ lines_moved_with((x, y), self.lines, self.anchors)
-        joint = by_state @ self.covariance
-        stated = joint @ by_state.T + covariance
-        if (
-            not np.allclose(determined, np.eye(POSE))
-            or off @ np.linalg.solve(stated, off) > ONE_WALL_GATE
-        ):
+        ekf = CloneEKF(self.pose)
+        ekf.restart(self.pose, self.lines, self.anchors, self.covariance)
+        columns = np.arange(len(ekf.x))
+        nothing = np.zeros((len(columns), POSE))
+        update = linear_update(ekf.arrays, columns, by_state, -off, covariance, nothing)
+        whitened = np.linalg.solve(np.tril(update.factor), off)
+        if not np.allclose(determined, np.eye(POSE)) or whitened @ whitened > ONE_WALL_GATE:
             return None
-        gain = np.linalg.solve(stated, joint).T
-        change = -gain @ off
-        lines = self.lines + change[POSE:].reshape(-1, 2)
-        after = replace(
-            self,
-            pose=self.pose + change[:POSE],
-            lines=lines,
-            covariance=self.covariance - gain @ joint,
-        )
-        # The error of the state moves with the robot's: see CloneEKF.
-        transport = np.eye(len(change))
-        transport[:, :POSE] += after.moved_with - self.moved_with
+        correct_state(ekf.arrays, update)
+        lines = ekf.anchored
         motions = _motions_around(self, lines)
         along = np.einsum("md,md->m", motions[:, :2], direction(lines))
-        transport = _about_moved_anchors(along) @ transport
-        return replace(
-            after,
-            anchors=self.anchors + along[:, None] * direction(lines),
-            covariance=transport @ after.covariance @ transport.T,
-        ), motions
+        about = _about_moved_anchors(along)
+        anchors = self.anchors + along[:, None] * direction(lines)
+        spread = about @ ekf.P @ about.T
+        return MapState(ekf.pose, lines, anchors, spread, self.walls), motions
 
 
 def _motions_around(state: MapState, lines: FloatArray) -> FloatArray:
@@ -198,8 +181,8 @@ def lines_moved_with(
     """Derivative (2 n, 3) of lines (n, 2) about anchors (n, 2), as of the poses in
     :func:`poses_moved_with`.
     """
-    by_line, (x, y) = np.zeros((len(lines), 2, POSE)), place
-    cos, sin, (anchor_x, anchor_y) = np.cos(lines[:, 1]), np.sin(lines[:, 1]), anchors.T
-    by_line[:, 0] = np.stack((cos, sin, cos * (y - anchor_y) - sin * (x - anchor_x)), axis=1)
+    by_line = np.zeros((len(lines), 2, POSE))
+    by_line[:, 0, :2] = normal(lines)
+    by_line[:, 0, 2] = np.sum((np.array(place) - anchors) * direction(lines), axis=1)
     by_line[:, 1, 2] = 1.0
     return by_line.reshape(-1, POSE)

@@ -1,14 +1,14 @@
 """Landmarks that are one wall: when two of them are merged, and the geometry that the decisions of
 a step share.
 
-These functions are plain, as those of ``association`` are.
+These functions are plain, as those of ``step`` are.
 """
 
 import math
 from typing import TYPE_CHECKING
 
 from limslam_agent.kernels.extents import merge_walls
-from limslam_agent.kernels.tables import NUMBER, Filter, Walls
+from limslam_agent.kernels.tables import LEAST, MOST, NUMBER, Filter
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.clone_filter import (
     anchor_of,
@@ -18,6 +18,7 @@ from limslam_agent.slam.consistent.clone_filter import (
     merge,
     num_lines,
 )
+from limslam_agent.slam.consistent.pending_readings import Belief
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import FloatArray
 
@@ -26,82 +27,76 @@ if TYPE_CHECKING:
 
 
 def close_loops_of(
-    ekf: Filter, walls: Walls, index: int, settings: StepSettings, listener: "StepReports | None"
+    belief: Belief, index: int, settings: StepSettings, listener: "StepReports | None"
 ) -> None:
     """Merge a landmark that has just changed with all landmarks that are the same wall."""
-    found = True
+    ekf = belief.ekf
+    found = settings.closes_loops
     while found:
         found = False
         x, y = anchor_of(ekf, index)
         for other in lines_near(ekf, line_of(ekf, index)[1], x, y, 2.0 * limits.MAX_OFFSET):
-            if other != index and closes_loop(ekf, walls, other, index, settings, listener):
+            older = min(index, other)
+            younger = max(index, other)
+            if other != index and are_one_wall(belief, older, younger):
+                merge_landmarks(belief, older, younger, listener)
                 # The younger landmark is removed. If that is this one, there is nothing left to
                 # compare.
-                if other < index:
+                if younger == index:
                     return
                 found = True
                 break
 
 
-def closes_loop(
-    ekf: Filter,
-    walls: Walls,
-    first: int,
-    second: int,
-    settings: StepSettings,
-    listener: "StepReports | None",
-) -> bool:
-    """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
-    older = min(first, second)
-    younger = max(first, second)
-    overlap, offset = separation(ekf, walls, older, younger)
-    if not settings.closes_loops or overlap < limits.MIN_OVERLAP or offset > limits.MAX_OFFSET:
+def are_one_wall(belief: Belief, older: int, younger: int) -> bool:
+    """Whether two landmarks are one wall."""
+    overlap, offset = separation(belief, older, younger)
+    if overlap < limits.MIN_OVERLAP or offset > limits.MAX_OFFSET:
         return False
-    off, covariance = difference(ekf, older, younger)
-    if abs(off[1]) > limits.MAX_ANGLE or squared_difference(off, covariance) > limits.ONE_WALL_GATE:
-        return False
-    merge_landmarks(ekf, walls, older, younger, listener)
-    return True
+    off, covariance = difference(belief.ekf, older, younger)
+    is_turned = abs(off[1]) > limits.MAX_ANGLE
+    return not is_turned and squared_difference(off, covariance) <= limits.ONE_WALL_GATE
 
 
 def merge_landmarks(
-    ekf: Filter, walls: Walls, older: int, younger: int, listener: "StepReports | None"
+    belief: Belief, older: int, younger: int, listener: "StepReports | None"
 ) -> None:
     """Merge two landmarks, and remove the younger one."""
-    theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
+    ekf = belief.ekf
+    walls = belief.walls
+    theta = line_of(ekf, younger)[1]
+    x, y = anchor_of(ekf, younger)
+    count = num_lines(ekf)
     if listener is not None:
         off, covariance = difference(ekf, older, younger)
-        numbers = walls.table[older, NUMBER], walls.table[younger, NUMBER]
-        listener.merged(
-            numbers[0],
-            numbers[1],
-            squared_difference(off, covariance),
-            separation(ekf, walls, older, younger)[1],
-        )
-    merge(ekf, older, younger, limits.ITERATIONS)
+        squared = squared_difference(off, covariance)
+        offset = separation(belief, older, younger)[1]
+        listener.merged(walls.table[older, NUMBER], walls.table[younger, NUMBER], squared, offset)
+    merge(ekf, older, younger, listener)
     factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
     merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
 
 
-def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[float, float]:
+def separation(belief: Belief, older: int, younger: int) -> tuple[float, float]:
     """Length, m, that two landmarks share along the older one, and the distance, m, of the
     younger's middle from it.
     """
-    (d, theta), (x, y), middle = (
-        line_of(ekf, younger),
-        anchor_of(ekf, younger),
-        0.5 * walls.ends[younger].sum(),
-    )
+    ekf = belief.ekf
+    d, theta = line_of(ekf, younger)
+    x, y = anchor_of(ekf, younger)
     cos = math.cos(theta)
     sin = math.sin(theta)
     x = x + d * cos
     y = y + d * sin
-    low = walls.ends[younger, 0]
-    high = walls.ends[younger, 1]
+    ends = belief.walls.ends[older]
+    low = belief.walls.ends[younger, LEAST]
+    high = belief.walls.ends[younger, MOST]
     one = along_point(ekf, older, x - low * sin, y + low * cos)
     two = along_point(ekf, older, x - high * sin, y + high * cos)
-    overlap = min(max(one, two), walls.ends[older, 1]) - max(min(one, two), walls.ends[older, 0])
-    (d, theta), (anchor_x, anchor_y) = line_of(ekf, older), anchor_of(ekf, older)
+    overlap = min(max(one, two), ends[MOST]) - max(min(one, two), ends[LEAST])
+    middle = 0.5 * (low + high)
+    d, theta = line_of(ekf, older)
+    anchor_x, anchor_y = anchor_of(ekf, older)
     across_x = x - middle * sin - anchor_x
     across_y = y + middle * cos - anchor_y
     return overlap, abs(across_x * math.cos(theta) + across_y * math.sin(theta) - d)

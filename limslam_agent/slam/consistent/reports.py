@@ -2,13 +2,13 @@
 merged.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from limslam_agent.kernels.tables import NUMBER, THETA
+from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
-from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT
+from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT, Piece
+from limslam_agent.slam.consistent.wall_map import WallMap
 from limslam_agent.slam.core.diagnostics import (
     AssociationRecord,
     CandidateTest,
@@ -16,31 +16,33 @@ from limslam_agent.slam.core.diagnostics import (
     Comparison,
     Extraction,
 )
+from limslam_agent.slam.core.estimator import Estimator
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
-
-if TYPE_CHECKING:
-    from limslam_agent.slam.consistent.association import Piece
-    from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 
 
 class StepReports:
     """A listener for the decisions of one step of a robot."""
 
-    def __init__(self, estimator: "ConsistentEstimator", robot: int, step: int) -> None:
+    def __init__(
+        self, estimator: Estimator, sensor: AssumedSensor, walls: WallMap, robot: int, step: int
+    ) -> None:
         self._estimator = estimator
+        self._sensor = sensor
+        self._walls = walls.arrays
         self._robot = robot
         self._step = step
+        self.cloned = estimator.filter.cloned
+        self.corrected = estimator.filter.corrected
 
-    def extracted(self, row: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
+    def extracted(self, side: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
         """The lines (k, 2) with their ends (k, 2, 2) that were found in the pending readings of a
         side.
         """
         estimator = self._estimator
-        side = SIDES[row % len(SIDES)]
         estimator.last_extraction = Extraction(
             self._robot,
-            side,
+            SIDES[side],
             self._step,
             estimator.poses[self._robot],
             points,
@@ -58,9 +60,7 @@ class StepReports:
         self._residuals = residuals[is_clear]
         self._ranges = waiting[is_clear, RANGE]
 
-    def compared(
-        self, piece: "Piece", squared: FloatArray, landmarks: IntArray, gate: float
-    ) -> None:
+    def compared(self, piece: Piece, squared: FloatArray, landmarks: IntArray, gate: float) -> None:
         """Chi-squares (k,) and indices (k,) of the landmarks that the piece was compared with, and
         the gate.
         """
@@ -80,7 +80,7 @@ class StepReports:
 
     def updated(self, number: int, is_new: bool) -> None:
         """The piece has corrected a landmark."""
-        self._estimator.count_residuals(self._residuals, self._ranges)
+        self._sensor.count(self._residuals, self._ranges)
         self._estimator.report(
             AssociationRecord(int(number), bool(is_new), self._sources, self._robot)
         )
@@ -93,10 +93,10 @@ class StepReports:
             Closure(int(older), int(younger), self._step, squared, 0.0, offset, 0.0)
         )
 
-    def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
+    def _test(self, index: int, piece: Piece, squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
         belief = self._estimator.filter
-        walls = self._estimator.walls
+        walls = self._walls
         line = belief.line(index)
         middle = piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))

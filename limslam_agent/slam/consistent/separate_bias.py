@@ -10,11 +10,11 @@ recursive filtering", 1969). So the filter can wait with its decision until the 
 errors, and lose nothing.
 """
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
+from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE, Update
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
@@ -69,8 +69,11 @@ class SeparateBias:
         straight walls, for each of the ``BENDS`` (1 + ``FOLDS``, n): by all readings, and without
         those of each group of walls.
         """
-        rows = self._sums[..., :-1, :][..., part, :]
         chi_squares = self._sums[..., -1, -1]
+        bent = chi_squares[:, :1] - chi_squares
+        rows = self._sums[..., :-1, :][..., part, :]
+        if not rows.shape[-2]:
+            return np.asarray(bent)
         information = rows[..., :-1][..., part]
         score = rows[..., -1:]
         prior = self._prior[part][:, part]
@@ -180,28 +183,16 @@ class RangeErrors(SeparateBias):
         return self.evidence_of(COMMON, LENGTHS)
 
     @property
-    def turns(self) -> FloatArray:
-        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that
-        is not estimated.
+    def turns(self) -> tuple[FloatArray, FloatArray]:
+        """By what each beam is turned (n_beams,), rad, and the covariance (n_beams, n_beams) of
+        that; empty if that is not estimated.
 
         It is known by all readings, also by those from before a correction, and other errors are
         unknown beside it.
         """
-        errors, covariance = self._estimate_of_all
-        return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
-
-    @property
-    def covariance_of_turns(self) -> FloatArray:
-        """What remains unknown of the directions of the beams (n_beams, n_beams), rad^2."""
-        return self._estimate_of_all[1][TURNS, TURNS]
-
-    @property
-    def _estimate_of_all(self) -> tuple[FloatArray, FloatArray]:
-        """The errors (k,) and their covariance (k, k) by all readings, also by those from before a
-        correction.
-        """
         sums = (self._earlier + self._sums[0, 0])[:-1]
-        return _estimated(self._prior, sums[:, :-1], sums[:, -1])
+        errors, covariance = _estimated(self._prior, sums[:, :-1], sums[:, -1])
+        return errors[TURNS], covariance[TURNS, TURNS]
 
     @property
     def turn_gain(self) -> float:
@@ -240,104 +231,63 @@ class ConstantErrors:
         """Number of all the errors."""
         return sum(errors.count for errors in (self.odometry, self.ranges) if errors is not None)
 
-    def learn(self, whitened: FloatArray, wall: int) -> None:
-        """The filter was updated: see :meth:`SeparateBias.learn`."""
+    def learn(
+        self,
+        by_errors: FloatArray,
+        update: Update,
+        after: FloatArray,
+        wall: int,
+        seen: "SeenWall | None" = None,
+    ) -> None:
+        """Change V (s, k) as an update of the filter by measurements of a wall has changed its
+        state, and estimate the errors anew.
+
+        ``after`` (s, 3) is what ``correct_state`` has returned, and ``seen`` says what was
+        measured, if that are readings.
+
+        Raises
+        ------
+        LinAlgError
+            If the innovation's covariance is not positive.
+        """
+        if not update.factor[-1, -1] > 0.0:
+            raise np.linalg.LinAlgError("the innovation's covariance is not positive")
+        if not by_errors.size:
+            return
+        by_errors += update.moved @ by_errors[:POSE]
+        measured = update.H @ by_errors[update.columns]
+        by_curvature = np.zeros(len(measured))
+        if seen is not None:
+            by_curvature = 0.5 * seen.expected[:, 5] ** 2 / seen.expected[:, 4]
+            if self.ranges is not None:
+                direct = by_range_errors(seen, len(self.ranges.stds[TURNS]))
+                measured[:, -direct.shape[1] :] += direct
+        joined = np.column_stack((measured, update.innovation, by_curvature))
+        scaled = np.asarray(np.linalg.solve(np.tril(update.factor), joined))
+        by_errors -= update.W.T @ scaled[:, :-2]
+        by_errors += after @ by_errors[:POSE]
         first = 0
         for errors in (self.odometry, self.ranges):
             if errors is not None:
-                errors.learn(whitened[:, np.r_[first : first + errors.count, -2, -1]], wall)
+                errors.learn(scaled[:, np.r_[first : first + errors.count, -2, -1]], wall)
                 first += errors.count
 
 
-def note_update(
-    ekf: Any,
-    jacobian: FloatArray,
-    columns: IntArray,
-    innovation: FloatArray,
-    factor: FloatArray,
-    whitened: FloatArray,
-    moved: FloatArray,
-    moved_again: FloatArray,
-    direct: FloatArray | None,
-    by_curvature: FloatArray,
-    wall: int,
-) -> None:
-    """Change V as an update of a ``Filter`` by m measurements has changed its state, and estimate
-    the errors anew.
+class SeenWall(NamedTuple):
+    """Readings that have updated a line.
 
-    Parameters
+    Attributes
     ----------
-    jacobian, columns
-        Derivative (m, n) of the measurements by these states (n,).
-    innovation, factor, whitened
-        The innovation (m,), the Cholesky factor L (m, m) of its covariance, and L^-1 H P (m, size)
-        by all states.
-    moved, moved_again
-        The error of the first robot's pose was added to the state's error with these factors (size,
-        3), before and after the update.
-    direct
-        Derivative (m, k) of the measurements by the last k errors at a given state, if there is
-        one.
-    by_curvature
-        Derivative (m,) of the measurements by the curvature of their wall.
-    wall
-        Number of the wall.
-
-    Raises
-    ------
-    LinAlgError
-        If the innovation's covariance is not positive.
+    rows, expected
+        ``Readings.rows`` (n, 6), and what was predicted for them (n, 7).
+    headings, theta
+        Headings (n,) of the robot, and direction of the line's normal, rad.
     """
-    if not factor[-1, -1] > 0.0:
-        raise np.linalg.LinAlgError("the innovation's covariance is not positive")
-    by_errors = ekf.by_errors[: len(moved)]
-    if not by_errors.size:
-        return
-    by_errors += moved @ by_errors[:POSE]
-    measured = jacobian @ by_errors[columns]
-    if direct is not None:
-        measured[:, -direct.shape[1] :] += direct
-    scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation, by_curvature)))
-    ekf.errors.learn(scaled, wall)
-    by_errors -= whitened.T @ scaled[:, :-2]
-    by_errors += moved_again @ by_errors[:POSE]
 
-
-def note_readings(
-    ekf: Any,
-    found: tuple[Any, ...],
-    moved_again: FloatArray,
-    places: IntArray,
-    readings: FloatArray,
-    theta: float,
-    clones_from: int,
-    wall: int,
-) -> None:
-    """The same after what ``kernels.updates.update_by_readings`` has found for a line, whose normal
-    is at ``theta``.
-    """
-    moved, _, expected, jacobian, columns, factor, whitened, innovation, chosen = found
-    direct = None
-    ranges = ekf.errors.ranges
-    if ranges is not None:
-        headings = ekf.x[clones_from + POSE * places[chosen] + 2]
-        direct = by_range_errors(
-            expected, readings[chosen], headings, theta, len(ranges.stds[TURNS])
-        )
-    curved = 0.5 * expected[:, 5] ** 2 / expected[:, 4]
-    note_update(
-        ekf,
-        jacobian,
-        columns,
-        innovation,
-        factor,
-        whitened,
-        moved,
-        moved_again,
-        direct,
-        curved,
-        wall,
-    )
+    rows: FloatArray
+    expected: FloatArray
+    headings: FloatArray
+    theta: float
 
 
 def _estimated(
@@ -348,32 +298,27 @@ def _estimated(
     return covariance @ score, 0.5 * (covariance + covariance.T)
 
 
-def by_range_errors(
-    expected: FloatArray, readings: FloatArray, headings: FloatArray, theta: float, beams: int
-) -> FloatArray:
+def by_range_errors(seen: SeenWall, beams: int) -> FloatArray:
     """Derivatives (n, 3 + beams) of predicted ranges by the errors of ``RangeErrors``, at a given
     state.
 
     The delay acts by the poses of the clones alone. At the angle phi to the normal, a beam reads r
     tan(phi) more for each radian that it is turned away from the normal. A wider cone reads the
-    wall under a ray that is nearer to the perpendicular, and so a shorter range.
-
-    ``expected`` (n, 7) is what ``kernels.beams.predict_ranges`` fills for the readings (n,
-    6), which were taken with these headings (n,), rad, of a line with its normal at ``theta``, rad.
-    ``beams`` is 0 if directions are not estimated.
+    wall under a ray that is nearer to the perpendicular, and so a shorter range. ``beams`` is 0 if
+    directions are not estimated.
     """
-    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_DIVISOR)
+    cosines = np.maximum(np.abs(seen.expected[:, 6]), LEAST_DIVISOR)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
-    by_width = -expected[:, 0] * sines / cosines
+    by_width = -seen.expected[:, 0] * sines / cosines
     by_errors = np.zeros((len(cosines), TURNS.start + beams))
     by_errors[:, 0] = 1.0
     by_errors[:, 1] = by_width
     if beams:
-        angles = readings[:, 2]
-        cones = readings[:, 4]
-        numbers = readings[:, 5].astype(int)
-        turn = angle_between(theta - headings - angles)
+        angles = seen.headings + seen.rows[:, 2]
+        cones = seen.rows[:, 4]
+        numbers = seen.rows[:, 5].astype(int)
+        turn = angle_between(seen.theta - seen.headings - seen.rows[:, 2])
         turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -cones, cones), 0.0)
-        slants = angle_between(headings + angles + turn - theta)
+        slants = angle_between(angles + turn - seen.theta)
         by_errors[np.arange(len(slants)), TURNS.start + numbers] = -np.sign(slants) * by_width
     return by_errors

@@ -20,7 +20,11 @@ from limslam_agent.kernels.tables import (
     NEXT_NUMBER,
     NUMBER,
     READINGS,
+    Filter,
+    Walls,
+    clones_from,
     empty_walls,
+    line_at,
 )
 from limslam_agent.slam.consistent.limits import (
     MAX_GAP,
@@ -181,7 +185,12 @@ class WallMap:
     def walls(self) -> list[Wall]:
         """The landmarks at this moment."""
         return [
-            Wall(int(row[NUMBER]), self._extent(index), int(row[GROUPS]), int(row[READINGS]))
+            Wall(
+                int(row[NUMBER]),
+                extent_of(self.arrays, index),
+                int(row[GROUPS]),
+                int(row[READINGS]),
+            )
             for index, row in enumerate(self.arrays.table[: len(self)])
         ]
 
@@ -285,12 +294,6 @@ class WallMap:
             for index, row in enumerate(self.arrays.table[: len(self)])
         ]
 
-    def _extent(self, index: int) -> WallExtent:
-        low, length = self.arrays.table[index, [LOW, LENGTH]].tolist()
-        counted = self.arrays.counted[index, :, :length]
-        reached = self.arrays.reached[index, :, :length]
-        return WallExtent(low, counted.copy(), reached.copy())
-
     @property
     def _is_shown(self) -> IntArray:
         """Which landmarks (n,) have enough readings."""
@@ -304,10 +307,7 @@ class WallMap:
         ):
             known = self._intervals.get(number)
             if known is None or known[0] != changes:
-                known = self._intervals[number] = (
-                    changes,
-                    self._extent(index).intervals(MAX_GAP, THROUGH_TOLERANCE),
-                )
+                known = self._intervals[number] = changes, intervals_of(self.arrays, index)
             found.append(known[1])
         return found
 
@@ -318,17 +318,39 @@ class WallMap:
         """
         key = self.arrays.table[: len(self)].tobytes()
         if self._drawn[0] != key:
-            pieces = self._wall_intervals()
-            owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
-            along = np.concatenate((np.zeros((0, 2)), *pieces))
-            lines = self._belief.anchored[owners]
-            anchors, (cos, sin) = (
-                self._belief.anchors[owners],
-                (np.cos(lines[:, 1:]), np.sin(lines[:, 1:])),
-            )
-            points = np.empty((len(owners), 4))
-            points[:, ::2] = anchors[:, :1] + (lines[:, :1] * cos - along * sin)
-            points[:, 1::2] = anchors[:, 1:] + (lines[:, :1] * sin + along * cos)
-            is_shown = self._is_shown[owners] & (lengths(points) >= self._config.min_length)
-            self._drawn = key, points[is_shown], owners[is_shown]
+            ekf = self._belief.arrays
+            self._drawn = key, *drawn_walls(ekf, self.arrays, self._wall_intervals(), self._config)
         return self._drawn[1:]
+
+
+def extent_of(walls: Walls, index: int) -> WallExtent:
+    """The extent of a landmark, a copy."""
+    low, length = walls.table[index, [LOW, LENGTH]].tolist()
+    counted = walls.counted[index, :, :length]
+    reached = walls.reached[index, :, :length]
+    return WallExtent(low, counted.copy(), reached.copy())
+
+
+def intervals_of(walls: Walls, index: int) -> FloatArray:
+    """Where along a landmark there is wall (k, 2), m."""
+    return extent_of(walls, index).intervals(MAX_GAP, THROUGH_TOLERANCE)
+
+
+def drawn_walls(
+    ekf: Filter, walls: Walls, intervals: list[FloatArray], config: ExtentConfig
+) -> tuple[FloatArray, IntArray]:
+    """The walls of a map (N, 4), m, and the index of the landmark that each lies on (N,), from
+    where there is wall along each landmark (k, 2), m.
+    """
+    owners = np.repeat(np.arange(len(intervals)), [len(each) for each in intervals])
+    along = np.concatenate((np.zeros((0, 2)), *intervals))
+    anchors = ekf.anchors[owners]
+    lines = ekf.x[line_at(ekf.counts, 0) : clones_from(ekf.counts)].reshape(-1, 2)[owners]
+    cos = np.cos(lines[:, 1:])
+    sin = np.sin(lines[:, 1:])
+    points = np.empty((len(owners), 4))
+    points[:, ::2] = anchors[:, :1] + (lines[:, :1] * cos - along * sin)
+    points[:, 1::2] = anchors[:, 1:] + (lines[:, :1] * sin + along * cos)
+    is_shown = walls.table[owners, READINGS] >= config.min_readings
+    is_shown &= lengths(points) >= config.min_length
+    return points[is_shown], owners[is_shown]

@@ -12,6 +12,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.kernels.tables import POSE, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.core.diagnostics import (
     AssociationRecord,
+    CandidateTest,
     Closure,
     Comparison,
     Extraction,
@@ -21,8 +22,8 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Calibration, Motion, motion_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import Observation, RobotSpec
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import Observation, RobotSpec, Side
 
 
 class Estimator:
@@ -209,6 +210,25 @@ class Estimator:
         if self.on_association is not None:
             self.on_association(record)
 
+    def _note_extraction(
+        self, robot: int, side: Side, points: FloatArray, lines: Sequence[Any]
+    ) -> None:
+        """Store the lines, each with ``line`` (2,) and ``ends`` (2, 2), of a scan (n, 2), m, all in
+        the frame of a robot.
+        """
+        found = np.array([each.line for each in lines]).reshape(-1, 2)
+        ends = np.array([each.ends for each in lines]).reshape(-1, 2, 2)
+        step = self.robots[robot].step
+        self.last_extraction = Extraction(robot, side, step, self.poses[robot], points, found, ends)
+
+    def _note_comparison(
+        self, robot: int, ends: FloatArray, readings: IntArray, tests: tuple[CandidateTest, ...]
+    ) -> None:
+        """Tell the listener of the landmarks that a line was compared with."""
+        if self.on_comparison is not None:
+            step = self.robots[robot].step
+            self.on_comparison(Comparison(robot, step, ends, readings, tests))
+
     def _read(self, observations: Sequence[Observation]) -> list[Motion]:
         """The motions of the robots in the next step, whose readings the front ends accept."""
         if len(observations) != len(self.robots):
@@ -234,27 +254,16 @@ class Estimator:
         position than the body's radius plus a margin for the uncertainty of both positions, the
         same as that of beams that pass through walls.
         """
-        from limslam_agent.kernels.nearness import beams_on_robot
+        from limslam_agent.kernels.nearness import beams_on_robots
 
+        if len(self.robots) == 1:
+            return
         poses = self.poses
         covariance = self.filter.joint_pose_covariance
         robot = self.robot
-        margins = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK)
-        numbers = range(len(poses))
+        sizes = (*self.sensor.numbers, float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK)
         for number, front in enumerate(self.robots):
             ranges = np.where(front.measured, front.ranges, robot.max_ranges)
             found = np.zeros(len(robot.beams), bool)
-            for other in (other for other in numbers if other != number):
-                beams_on_robot(
-                    poses[number],
-                    poses[other],
-                    ranges,
-                    robot.beam_table,
-                    self.sensor.numbers,
-                    covariance,
-                    POSE * number,
-                    POSE * other,
-                    margins,
-                    found,
-                )
+            beams_on_robots(poses, covariance, number, ranges, robot.beam_table, sizes, found)
             front.drop(found)

@@ -170,11 +170,11 @@ class FrontEnd:
         from limslam_agent.kernels.readings import sort_readings
 
         values = np.array(observation["ranges"], dtype=float)
-        limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
+        limits = np.array([robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far])
         self.reported = np.empty(len(values))
         self.measured = robot.measures(self.step)
         self.refused_readings += sort_readings(
-            values, *limits, moved, self.repeats, self.reported, self.measured, self.hits
+            values, limits, moved, self.repeats, self.reported, self.measured, self.hits
         )
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.shared import HoughConfig
+from limslam_agent.kernels.tables import LineRules
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction
 
@@ -59,22 +60,6 @@ def fit_line(points: FloatArray, std: float) -> LineFit:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class ExtractedLine:
-    """A line segment that was found in a buffer of points.
-
-    Attributes
-    ----------
-    fit
-        The line with covariance and ends.
-    members
-        Indices (n,) of its points in the buffer.
-    """
-
-    fit: LineFit
-    members: IntArray
-
-
 def bin_size(config: HoughConfig, std: float) -> float:
     """Size of a bin of r, m, for points with noise ``std``, m."""
     return max(config.r_step, 3.0 * std)
@@ -85,21 +70,23 @@ def max_distance(config: HoughConfig, std: float) -> float:
     return max(config.max_offset, 2.5 * std)
 
 
-def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[ExtractedLine]:
-    """All lines in a buffer of points (n, 2), m, whose ranges have noise ``std`` (m), best
-    first.
+def extract_lines(
+    points: FloatArray, config: HoughConfig, std: float
+) -> list[tuple[LineFit, IntArray]]:
+    """All lines in points (n, 2), m, whose ranges have noise ``std`` (m), best first, and the
+    indices of the points on each of them.
     """
     from limslam_agent.kernels import lines
 
-    owner, found, _ = lines.extract_lines(
-        points,
+    rules = LineRules(
         float(config.max_gap),
+        float(max_distance(config, std)),
+        float(config.min_length),
         config.min_votes,
         float(bin_size(config, std)),
         float(config.theta_step),
-        float(max_distance(config, std)),
-        float(config.min_length),
         config.only_best,
     )
+    owner, found, _ = lines.extract_lines(points, rules)
     parts = [np.flatnonzero(owner == line) for line in range(len(found))]
-    return [ExtractedLine(fit_line(points[part], std), part) for part in parts]
+    return [(fit_line(points[part], std), part) for part in parts]

@@ -329,22 +329,25 @@ def make_problem(run: FilteredRun, prior: FloatArray | None = None) -> Problem:
     std = max(noise.range_std, LEAST_RANGE_STD)
     covariances = slip_covariances(robot, std, wheels[:, 1:], ranges, measured)
     covariances[..., 1, 1] += ASIDE_STD**2
-    variances = np.zeros_like(wheels[:, 1:])
-    turns = None
-    if run.headings is None:
-        motions = _by_wheels(wheels[:, 1:], robot.axle)
-        variances += noise.wheel_variance * np.abs(wheels)[:, 1:] + LEAST_VARIANCE + unknown[:, 1:]
-    else:
-        steered = _by_headings(robot, noise, run.headings, wheels, unknown)
-        motions = steered.motions
-        turns = steered.turns
-        covariances[..., [0, 2], [0, 2]] += steered.variances
-        jitters[..., 2, :] = jitters[..., :, 2] = 0.0
-        jitters[..., 2, 2] = steered.jitters
-    if not run.first_step:  # see ``encoder_ticks.first_jitter``
-        variances[:, 0] += tick_variances(ticks)
+    variances = noise.wheel_variance * np.abs(wheels) + LEAST_VARIANCE + unknown
     by_wheels = _by_wheels(np.eye(2), robot.axle).T
-    covariances += (by_wheels * variances[..., None, :]) @ by_wheels.T
+    reported = (by_wheels * variances[:, 1:, None]) @ by_wheels.T
+    motions = _by_wheels(wheels[:, 1:], robot.axle)
+    turns = None
+    if run.headings is not None:
+        more = unknown.sum(axis=-1)
+        table = np.array(
+            [_turns(robot, noise, *own) for own in zip(run.headings.T, wheels, more, strict=True)]
+        )
+        motions[..., 2] = table[:, 1:, 0]
+        turns = table[:, 1:, 2:4].copy()
+        reported[..., 2, :] = reported[..., :, 2] = 0.0
+        reported[..., 2, 2] = table[:, 1:, 1]
+        jitters[..., 2, :] = jitters[..., :, 2] = 0.0
+        jitters[..., 2, 2] = table[..., 4]
+    covariances += reported
+    if not run.first_step:  # see ``encoder_ticks.first_jitter``
+        covariances[:, 0] += (by_wheels * tick_variances(ticks)[:, None]) @ by_wheels.T
     problem = Problem(
         robot=sensor.mounted(robot),
         starts=np.asarray(run.poses[0], dtype=float),
@@ -390,48 +393,14 @@ def _by_wheels(wheels: FloatArray, axle: float) -> FloatArray:
     return np.stack((0.5 * (left + right), np.zeros_like(left), (right - left) / axle), axis=-1)
 
 
-class _Steered(NamedTuple):
-    """The motions of n robots with heading sensors in t steps.
-
-    Attributes
-    ----------
-    motions, variances
-        Motions (n, t - 1, 3), and the variances (n, t - 1, 2) of their lengths and turns.
-    turns, jitters
-        ``Problem.turns``, and the variances (n, t) of the headings about the sum of all turns,
-        rad^2.
+def _turns(
+    robot: RobotSpec, noise: NominalNoise, yaw: FloatArray, wheels: FloatArray, more: FloatArray
+) -> list[tuple[float, ...]]:
+    """The turns (t, 5) of a robot by ``turn_meter.turns_of``: angle and its variance, what the
+    heading sensor has measured and for how long, and the variance of the heading.
     """
-
-    motions: FloatArray
-    variances: FloatArray
-    turns: FloatArray
-    jitters: FloatArray
-
-
-def _by_headings(
-    robot: RobotSpec,
-    noise: NominalNoise,
-    yaw: FloatArray,
-    wheels: FloatArray,
-    unknown: FloatArray,
-) -> _Steered:
-    """The motions by headings (t, n), rad, and the travel (n, t, 2) of the wheels, m, with its
-    further variances, m^2.
-    """
-    more = unknown.sum(axis=-1)
-    table = np.array(
-        [
-            [(each.angle, each.variance, each.measured, each.seconds, each.jitter) for each in own]
-            for own in (
-                turns_of(robot, noise, *each) for each in zip(yaw.T, wheels, more, strict=True)
-            )
-        ]
-    )
-    motions = _by_wheels(wheels, robot.axle)
-    motions[..., 2] = table[..., 0]
-    lengths = 0.25 * (noise.wheel_variance * np.abs(wheels).sum(axis=-1) + more)
-    variances = np.stack((lengths + 0.5 * LEAST_VARIANCE, table[..., 1]), axis=-1)
-    return _Steered(motions[:, 1:], variances[:, 1:], table[:, 1:, 2:4].copy(), table[..., 4])
+    turns = turns_of(robot, noise, yaw, wheels, more)
+    return [(each.angle, each.variance, each.measured, each.seconds, each.jitter) for each in turns]
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:

@@ -10,6 +10,7 @@ import numpy as np
 
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.kernels.lines import extract_lines
+from limslam_agent.kernels.tables import LineRules
 from limslam_agent.slam.map_graph.point_links import MIN_COSINE, PointCloud
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
@@ -96,18 +97,18 @@ def _window(
     found = [no_rows(2)]
     reach = [no_rows(2)]
     count = 0
+    rules = LineRules(
+        config.max_gap,
+        config.tolerance,
+        config.min_length,
+        config.min_points,
+        _OFFSET_BIN,
+        config.angle_bin,
+        only_best=False,
+    )
     while True:
         voters = np.flatnonzero(good & (label < 0))
-        owner, lines, ends = extract_lines(
-            places[voters],
-            config.max_gap,
-            config.min_points,
-            _OFFSET_BIN,
-            config.angle_bin,
-            config.tolerance,
-            config.min_length,
-            only_best=False,
-        )
+        owner, lines, ends = extract_lines(places[voters], rules)
         voters = voters[owner >= 0]
         owner = owner[owner >= 0]
         cosines = np.sum(normals[voters] * normal(lines)[owner], axis=1)

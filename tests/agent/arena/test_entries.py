@@ -45,9 +45,9 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
         (
             'kind = "shipped"',
             'kind = "magic"',
-            "shipped, python, command can be chosen, not 'magic'",
+            "kind: must be one of shipped, python, command, not 'magic'",
         ),
-        ('uses = "belief"', 'uses = "truth"', "belief, readings can be chosen, not 'truth'"),
+        ('uses = "belief"', 'uses = "truth"', "uses: must be one of belief, readings, not 'truth'"),
         ('run = "random"', 'run = "tour"', "can be chosen, not 'tour'"),
         ("robots = 2", "speed = 2", "speed"),
         ('run = "random"', 'command = ["drive"]', "a command has the key command"),

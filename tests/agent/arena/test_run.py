@@ -16,7 +16,7 @@ from support.arena import MANIFEST, made_entry
 from support.command_line import limslam
 
 from limslam_agent.arena.results import FORMAT, RUNS, STAMP, Row, digest_of, read_results
-from limslam_agent.arena.running import Job, run_entry, run_job
+from limslam_agent.arena.running import Execution, Job, run_entry, run_job
 from limslam_agent.arena.scoring import BOUNDS, lost_scores
 from limslam_agent.arena.verify import differences, opened, shifts, verify
 from limslam_agent.cli.arena import write_kept_run
@@ -49,15 +49,18 @@ class Mine:
 """
 
 
-def run_all(entry, plans, folder, **options):
-    return run_entry(entry, plans, folder, **{"seed": 0, "jobs": 1, **options})
+ONE = Execution()
+
+
+def run_all(entry, plans, folder, seed=0, report=lambda *_: None, **options):
+    return run_entry(entry, plans, folder, seed, Execution(**options), report)
 
 
 def verified(folder, entry, plans):
     """What differs in each plan of a folder, in words."""
     return [
         differences(before, now, is_process=False)
-        for before, now in verify(folder, entry, plans, 1, RANDOM)
+        for before, now in verify(folder, entry, plans, ONE, RANDOM)
     ]
 
 
@@ -80,7 +83,7 @@ def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
     assert rows[1].setting["robots"] == 2
     assert verified(folder, entry, short_plans[:2]) == [[], []]
     with pytest.raises(ValueError, match="1 plan of 3 has no results, such as plan 2"):
-        list(verify(folder, entry, short_plans, 1, RANDOM))
+        list(verify(folder, entry, short_plans, ONE, RANDOM))
 
 
 def test_the_plans_that_are_verified_are_drawn_at_random(tmp_path, entry, short_plans, monkeypatch):
@@ -93,7 +96,7 @@ def test_the_plans_that_are_verified_are_drawn_at_random(tmp_path, entry, short_
     run_all(entry, plans, folder)
 
     def drawn(seed):
-        found = verify(folder, entry, plans, 1, np.random.default_rng(seed), count=5)
+        found = verify(folder, entry, plans, ONE, np.random.default_rng(seed), 5)
         return [now.plan for _, now in found]
 
     assert len(set(drawn(0))) == 5
@@ -195,10 +198,10 @@ def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
     assert difference.startswith("path_m missing, now ")
     rewrite(setting={**line["setting"], "noise": 0.0})
     with pytest.raises(ValueError, match="has another setting than the plan"):
-        list(verify(folder, entry, short_plans[:1], 1, RANDOM))
+        list(verify(folder, entry, short_plans[:1], ONE, RANDOM))
     rewrite(settings="0" * 64)
     with pytest.raises(ValueError, match="is not of this entry"):
-        list(verify(folder, entry, short_plans[:1], 1, RANDOM))
+        list(verify(folder, entry, short_plans[:1], ONE, RANDOM))
     assert row.plan == 0
 
 
@@ -246,7 +249,7 @@ def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
         opened(folder, None, 8)
     assert opened(folder, None, 7)[0].digest == entry.digest
     with pytest.raises(ValueError, match="has no results yet"):
-        list(verify(folder, entry, opened(folder, None, 7)[2], 1, RANDOM))
+        list(verify(folder, entry, opened(folder, None, 7)[2], ONE, RANDOM))
     (entry.folder / "more.txt").touch()
     with pytest.raises(ValueError, match="was changed since"):
         opened(folder, None, 7)
@@ -276,7 +279,7 @@ def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
     ("words", "reason"),
     [
         (("run", "nowhere", "--out", "out"), "there is no such folder"),
-        (("run", "entry", "--out", "out", "--plans", "500"), "Invalid value for '--plans'"),
+        (("run", "entry", "--out", "out", "--plans", "500"), "--plans must be a whole number"),
         (
             ("run", "entry", "--out", "out", "--secret-seed"),
             "a whole number of 0 or more from standard input",

@@ -1,6 +1,5 @@
 """Runs that are ended by Ctrl-C, a termination, or a terminal that is closed."""
 
-import json
 import signal
 import subprocess
 import sys
@@ -8,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from support.command_line import limslam
+from support.runs import result_of
 
 from limslam_agent import read_log
 from limslam_agent.output.tum import read_tum
@@ -62,7 +62,7 @@ def test_an_interrupted_run_keeps_what_it_has(tmp_path, numbers, code):
     assert finished.returncode == code, finished.stderr
     assert "interrupted: writing what there is" in finished.stderr
     assert "stopped     interrupted" in finished.stdout
-    result = json.loads((folder / "result.json").read_text())
+    result = result_of(folder)
     assert result["status"] == "interrupted"
     assert result["metrics"]["stop_reason"].startswith("interrupted")
     assert result["metrics"]["exploration_time_s"] is None
@@ -103,7 +103,7 @@ def test_nohup_is_respected(tmp_path):
         tmp_path, *told, step=10, numbers=[signal.SIGHUP], ignored=signal.SIGHUP
     )
     assert finished.returncode == 0, finished.stderr
-    assert json.loads((folder / "result.json").read_text())["status"] == "finished"
+    assert result_of(folder)["status"] == "finished"
 
 
 @pytest.mark.parametrize(("ending", "code"), [(KeyboardInterrupt(), 130), (SystemExit(143), 143)])
@@ -128,7 +128,7 @@ def test_what_follows_a_run_is_broken_off_and_the_run_is_kept(
     told = ("--world", "square", "--max-time", "5")
     finished = limslam("run", *told, "--out", tmp_path / "run")
     assert finished.returncode == code, finished.stderr
-    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    result = result_of(tmp_path / "run")
     assert result["status"] == "interrupted"
     assert result["metrics"]["stop_reason"] == "time: the run's longest time is over"
     assert not (tmp_path / "run" / "trajectory_smoothed.tum").exists()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pictures
 from support.command_line import refused, told
-from support.runs import Folder, run, write_poses, write_run
+from support.runs import Folder, result_of, run, write_poses, write_run
 
 from limslam_agent import Mapper, save_map
 from limslam_env import RobotSpec
@@ -126,7 +126,7 @@ def test_what_is_no_run_and_no_picture_is_refused(tmp_path):
 
 def test_numbers_of_another_version_do_no_harm(tmp_path):
     folder = write_run(tmp_path / "run", metrics={"ate_m": "small", "landmarks": None, "new": [1]})
-    content = json.loads((folder / "result.json").read_text())
+    content = result_of(folder)
     for config in ("none", {"noise": 10**400}):
         content["seed"] = None
         content["config"] = config

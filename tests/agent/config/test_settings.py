@@ -1,6 +1,5 @@
 """Settings: presets, bounds, ablations, and the files of --config and --robot."""
 
-import json
 import math
 import os
 import subprocess
@@ -12,7 +11,8 @@ from typing import get_type_hints
 
 import numpy as np
 import pytest
-from support.command_line import limslam
+from support.command_line import limslam, told
+from support.runs import result_of
 
 from limslam_agent import preset
 from limslam_agent.cli.settings import (
@@ -184,10 +184,10 @@ def assert_same(first, second, names=SAME):
 def test_the_file_of_a_run_repeats_it_to_the_bit(options, tmp_path):
     first = tmp_path / "first"
     second = tmp_path / "second"
-    assert limslam("run", "--max-time", "15", *options, "--out", first).returncode == 0
-    assert limslam("run", "--config", first / "run.toml", "--out", second).returncode == 0
+    told("run", "--max-time", "15", *options, "--out", first)
+    told("run", "--config", first / "run.toml", "--out", second)
     assert_same(first, second)
-    one, other = (json.loads((folder / "result.json").read_text()) for folder in (first, second))
+    one, other = (result_of(folder) for folder in (first, second))
     assert (one["metrics"], one["config"], one["seed"]) == (
         other["metrics"],
         other["config"],
@@ -205,8 +205,8 @@ def test_a_run_with_settings_of_every_kind_is_repeated_by_its_file(tmp_path):
     )
     first = tmp_path / "first"
     second = tmp_path / "second"
-    assert limslam("run", "--config", path, "--out", first).returncode == 0
-    assert limslam("run", "--config", first / "run.toml", "--out", second).returncode == 0
+    told("run", "--config", path, "--out", first)
+    told("run", "--config", first / "run.toml", "--out", second)
     assert_same(
         first,
         second,
@@ -225,16 +225,11 @@ def test_a_run_in_a_world_of_a_file_can_be_handed_on_and_repeated(tmp_path):
     path.write_text(world_toml(load_world("square")), encoding="utf-8")
     first = tmp_path / "first"
     second = tmp_path / "second"
-    assert (
-        limslam(
-            "run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first
-        ).returncode
-        == 0
-    )
+    told("run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first)
     assert tomllib.loads((first / "run.toml").read_text())["world"] == "world.toml"
     path.unlink()
     moved = first.rename(tmp_path / "moved")
-    assert limslam("run", "--config", moved / "run.toml", "--out", second).returncode == 0
+    told("run", "--config", moved / "run.toml", "--out", second)
     assert_same(moved, second)
 
 
@@ -261,10 +256,10 @@ def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
     log, robot, units = wheel_table(tmp_path)
     first = tmp_path / "first"
     second = tmp_path / "second"
-    assert limslam("replay", log, "--robot", robot, *units, "--out", first).returncode == 0
-    assert limslam("replay", "--config", first / "run.toml", "--out", second).returncode == 0
+    told("replay", log, "--robot", robot, *units, "--out", first)
+    told("replay", "--config", first / "run.toml", "--out", second)
     assert_same(first, second, SAME - {"log.npz"})
-    one = json.loads((first / "result.json").read_text())
+    one = result_of(first)
     assert one["record"]["driven_m"] == pytest.approx(0.025 * 119)
     assert one["config"]["robot"]["axle"] == 0.115
     beams = one["config"]["robot"]["beams"]

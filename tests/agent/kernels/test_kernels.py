@@ -1,4 +1,4 @@
-"""Kernels of the agent against plain numpy: algebra, covariances, cells, nearness."""
+"""Kernels of the agent against plain numpy: cells and nearness."""
 
 import math
 
@@ -7,74 +7,11 @@ import pytest
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.kernels import algebra, covariance
 from limslam_agent.kernels.cells import BODY, CROSSED, ENDED, SKIPPED, change_cells
-from limslam_agent.kernels.compilation import entry
-from limslam_agent.kernels.nearness import beams_on_robot, place_readings, room_ahead, safe_share
+from limslam_agent.kernels.nearness import beams_on_robots, place_readings, room_ahead, safe_share
 from limslam_env import RobotSpec
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import beams_on_rim
-
-factorise, whiten, solve_factored = (
-    entry(each.py_func) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
-)
-add_products = entry(covariance.add_products.py_func)
-orthonormalise = entry(algebra.orthonormalise.py_func)
-quantile = entry(algebra.quantile.py_func)
-sort_with = entry(algebra.sort_with.py_func)
-GENERATOR = np.random.default_rng(0)
-
-
-def positive(size: int) -> FloatArray:
-    root = GENERATOR.normal(size=(size, size))
-    return np.asarray(root @ root.T + np.eye(size))
-
-
-@pytest.mark.parametrize("size", [1, 2, 7, 20])
-def test_triangular_systems(size: int) -> None:
-    matrix = positive(size)
-    values = GENERATOR.normal(size=(size, 3))
-    factor = matrix.copy()
-    whitened = values.copy()
-    solved = values[:, 0].copy()
-    factorise(factor, size)
-    whiten(factor, whitened, size, 3)
-    solve_factored(factor, solved, size)
-    lower = np.linalg.cholesky(matrix)
-    np.testing.assert_allclose(np.tril(factor), lower, atol=1e-9)
-    np.testing.assert_allclose(whitened, np.linalg.solve(lower, values), atol=1e-9)
-    np.testing.assert_allclose(solved, np.linalg.solve(matrix, values[:, 0]), atol=1e-9)
-
-
-@pytest.mark.parametrize("whole", [3, 6])
-def test_a_symmetric_product_is_added_to_a_part_of_a_matrix(whole: int) -> None:
-    matrix = positive(23)
-    root = GENERATOR.normal(size=(8, 19))
-    weights = GENERATOR.normal(size=8)
-    found = matrix.copy()
-    expected = matrix.copy()
-    add_products(found, whole, weights[:, None] * root, root)
-    covariance.mirror(found, 19, whole)
-    expected[:19, :19] += root.T @ (weights[:, None] * root)
-    np.testing.assert_allclose(found, expected, atol=1e-12)
-
-
-def test_quantiles_and_sorting() -> None:
-    values = np.sort(GENERATOR.normal(size=13))
-    for share in (0.0, 0.15, 0.5, 0.85, 1.0):
-        assert quantile(values, 13, share) == pytest.approx(np.quantile(values, share), abs=1e-12)
-    keys = np.array([2.0, 1.0, 2.0, 0.0, 1.0])
-    follow = np.arange(5)
-    sort_with(keys, follow, 5)
-    assert keys.tolist() == [0.0, 1.0, 1.0, 2.0, 2.0]
-    assert follow.tolist() == [3, 1, 4, 0, 2]
-
-
-def test_orthonormal_columns() -> None:
-    values = GENERATOR.normal(size=(9, 4))
-    orthonormalise(values, 1, 4, 9)
-    np.testing.assert_allclose(values[:, 1:].T @ values[:, 1:], np.eye(3), atol=1e-12)
-
 
 CONFIG = GridConfig()
 PAPER = RobotSpec()
@@ -238,28 +175,19 @@ def test_beams_on_another_robot() -> None:
             generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges
         )
         other = pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0])
-        root = generator.normal(0.0, 0.1, (9, 9))
+        root = generator.normal(0.0, 0.1, (6, 6))
         covariance = root @ root.T
         found = np.zeros(BEAMS, dtype=bool)
-        beams_on_robot(
-            pose,
-            other,
-            ranges,
-            ROBOT.beam_table,
-            (0.02, 0.03, 0.1),
-            covariance,
-            6,
-            0,
-            (0.1, 2.0, 0.05),
-            found,
-        )
+        sizes = (0.02, 0.03, 0.1, 0.1, 2.0, 0.05)
+        poses = np.vstack((other, pose))
+        beams_on_robots(poses, covariance, 1, ranges, ROBOT.beam_table, sizes, found)
         ends = ends_of(pose, ranges)
         distance = np.hypot(*(ends - other[:2]).T)
         arms = ends - pose[:2]
         toward = (ends - other[:2]) / distance[:, None]
         turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
         jacobian = np.column_stack((toward, turning, -toward))
-        columns = [6, 7, 8, 0, 1]
+        columns = [3, 4, 5, 0, 1]
         variance = np.einsum(
             "ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian
         )

@@ -168,35 +168,33 @@ def collected(sensors, *messages):
     return [(round(each.time, 3), each.ranges) for each in found]
 
 
-def three_ranges():
-    """Sensors for three beams, whose topics have had a message each."""
+@pytest.mark.parametrize(
+    ("messages", "expected"),
+    [
+        # Times that are near belong together.
+        (
+            [(0, 1.00, 0.5), (2, 1.02, 0.7), (1, 1.01, math.inf)],
+            [(1.01, (500, NOTHING_SEEN, 700))],
+        ),
+        # The message of the second topic at 1.0 s is lost, and its next one arrives before those of
+        # the others.
+        (
+            [(0, 1.0, 0.5), (2, 1.0, 0.7), (1, 1.1, 0.6), (0, 1.1, 0.4), (2, 1.1, 0.3)],
+            [(1.0, (500, None, 700)), (1.1, (400, 600, 300))],
+        ),
+        # Late and doubled messages are left out.
+        (
+            [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)],
+            [(1.1, (500, 400, 300))],
+        ),
+    ],
+)
+def test_ranges_of_several_topics_belong_together_if_their_times_are_near(messages, expected):
     sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)), 0.1)
-    assert collected(sensors, *((number, 0.9, 1.0) for number in range(3))) == [
-        (0.9, (1000, 1000, 1000))
-    ]
+    first = [(number, 0.9, 1.0) for number in range(3)]
+    assert collected(sensors, *first) == [(0.9, (1000, 1000, 1000))]
     np.testing.assert_allclose(sensors.robot.max_ranges, 1.2)
-    return sensors
-
-
-def test_ranges_of_several_topics_that_are_near_in_time_belong_together():
-    sensors = three_ranges()
-    assert collected(sensors, (0, 1.00, 0.5), (2, 1.02, 0.7), (1, 1.01, math.inf)) == [
-        (1.01, (500, NOTHING_SEEN, 700))
-    ]
-
-
-def test_a_lost_message_is_no_reading_and_moments_are_not_mixed():
-    sensors = three_ranges()
-    # The message of the second topic at 1.0 s is lost, and its next one arrives before those of the
-    # others.
-    messages = [(0, 1.0, 0.5), (2, 1.0, 0.7), (1, 1.1, 0.6), (0, 1.1, 0.4), (2, 1.1, 0.3)]
-    assert collected(sensors, *messages) == [(1.0, (500, None, 700)), (1.1, (400, 600, 300))]
-
-
-def test_ranges_that_are_late_or_doubled_are_left_out():
-    sensors = three_ranges()
-    messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
-    assert collected(sensors, *messages) == [(1.1, (500, 400, 300))]
+    assert collected(sensors, *messages) == expected
 
 
 # Headings.

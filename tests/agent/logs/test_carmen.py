@@ -4,205 +4,135 @@ which file.
 
 import math
 import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
+from collections import Counter
+from functools import partial
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from support.data import data_folder, refusal
+from numpy.testing import assert_allclose, assert_array_equal
+from support.data import data_folder, own_log, refusal
 
 from limslam_agent import read_log
 from limslam_env import RobotSpec
 from limslam_env.geometry import se2
 
 
-def count_calls(function: Callable[..., Any], *arguments: Any) -> tuple[int, Any]:
-    """How many calls of Python and C functions a call makes, and what it returns."""
-    calls = 0
-
-    def count(_frame: Any, event: str, _argument: Any) -> None:
-        nonlocal calls
-        calls += event in {"call", "c_call"}
-
-    before = sys.getprofile()
-    sys.setprofile(count)
-    try:
-        result = function(*arguments)
-    finally:
-        sys.setprofile(before)
-    return calls, result
+@pytest.fixture
+def write(write):
+    return partial(write, name="some.clf")
 
 
 SIX = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 
 
-def scan(
-    ranges: list[object] | int = 181,
-    odometry: tuple[object, object, object] = (0.0, 0.0, 0.0),
-    laser: tuple[object, object, object] | None = None,
-    at: object = 1.0,
-) -> str:
+def scan(ranges=181, odometry=(0.0, 0.0, 0.0), laser=None, at=1.0):
     """A FLASER line; a number of ranges stands for as many readings of 2 m."""
     values = [2.0] * ranges if isinstance(ranges, int) else ranges
     words = ["FLASER", len(values), *values, *(laser or odometry), *odometry, at, "host", 0.5]
     return " ".join(map(str, words)) + "\n"
 
 
-def odom(pose: tuple[object, object, object] = (0.0, 0.0, 0.0), at: object = 1.0) -> str:
-    return f"ODOM {pose[0]} {pose[1]} {pose[2]} 0 0 0 {at} host 0.5\n"
+def odom(x=0.0, y=0.0, heading=0.0, at=1.0):
+    return f"ODOM {x} {y} {heading} 0 0 0 {at} host 0.5\n"
 
 
-def float32(*values: float) -> NDArray[np.float32]:
-    return np.array(values, dtype=np.float32)
-
-
-def changed(column: int, value: object, count: int = 181) -> list[object]:
-    values: list[object] = [2.0] * count
+def changed(column, value, count=181):
+    values = [2.0] * count
     values[column] = value
     return values
-
-
-@pytest.fixture
-def write(tmp_path: Path) -> Any:
-    def _write(*lines: str, name: str = "some.clf") -> Path:
-        path = tmp_path / name
-        path.write_text("".join(lines))
-        return path
-
-    return _write
 
 
 # What is read
 
 
-def test_events_keep_the_order_of_the_file_and_use_ipc_time(write: Any) -> None:
+def test_events_keep_the_order_of_the_file_and_use_ipc_time(write):
     path = write(
-        "# a comment\n",
-        "PARAM robot_length 0.5\n",
-        odom((0.0, 0.0, 0.0), at=10.0),
+        "# a comment\nPARAM robot_length 0.5\n",
+        odom(at=10.0),
         scan(odometry=(1.0, 0.5, 0.1), at=10.2),
         "\n",
-        odom((1.5, 0.5, 3.0 + 2.0 * math.pi), at=10.1),
+        odom(1.5, 0.5, 3.0 + 2.0 * math.pi, at=10.1),
         "RLASER 0 1 2 3\n",
         scan(odometry=(2.0, 0.5, -4.0), at=10.4),
     )
     log = read_log(path, SIX, 3.0)
-    np.testing.assert_array_equal(log.time, [10.0, 10.2, 10.1, 10.4])
-    np.testing.assert_array_equal(log.has_scan, [False, True, False, True])
-    assert log.odometry is not None
+    assert_array_equal(log.time, [10.0, 10.2, 10.1, 10.4])
+    assert_array_equal(log.has_scan, [False, True, False, True])
     expected = np.array([[0.0, 0, 0], [1, 0.5, 0.1], [1.5, 0.5, 3], [2, 0.5, 2 * math.pi - 4]])
-    np.testing.assert_allclose(log.odometry, expected)
-    np.testing.assert_array_equal(log.ranges[:, 0], float32(3.0, 2.0, 3.0, 2.0))
-    assert log.ranges.dtype == np.float32
-    assert (log.wheels, log.true_pose) == (None, None)
-    np.testing.assert_array_equal(log.start_pose, np.zeros(3))
-    assert len(log) == 4
+    assert_allclose(log.odometry, expected)
+    assert_array_equal(log.ranges[:, 0], np.float32([3.0, 2.0, 3.0, 2.0]))
+    assert_array_equal(log.start_pose, np.zeros(3))
 
 
-@pytest.mark.parametrize(
-    ("count", "last", "found"),
-    [
-        (180, 89.0, [0, 45, 90, 135, 179]),
-        (181, 90.0, [0, 45, 90, 135, 180]),
-        (360, 89.5, [0, 90, 180, 270, 359]),
-        (361, 90.0, [0, 90, 180, 270, 360]),
-    ],
-)
-def test_beam_layout_follows_from_the_count(
-    write: Any, count: int, last: float, found: list[int]
-) -> None:
+@pytest.mark.parametrize(("count", "last"), [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0)])
+def test_beam_layout_follows_from_the_count(write, count, last):
     # Readings that tell which beam they came from.
-    log = read_log(
-        write(scan([0.5 + 0.001 * i for i in range(count)])), (-90.0, -45.2, 0.0, 45.0, 90.0), 3.0
-    )
-    np.testing.assert_allclose(log.ranges[0], [0.5 + 0.001 * i for i in found], rtol=1e-6)
-    np.testing.assert_allclose(
-        np.degrees(log.robot.beam_angles), [-90.0, -45.0, 0.0, 45.0, last], atol=1e-9
-    )
+    path = write(scan([0.5 + 0.001 * i for i in range(count)]))
+    log = read_log(path, (-90.0, -45.2, 0.0, 45.0, 90.0), 3.0)
+    quarter = count // 4
+    numbers = np.array([0, quarter, 2 * quarter, 3 * quarter, count - 1])
+    assert_allclose(log.ranges[0], 0.5 + 0.001 * numbers, rtol=1e-6)
+    directions = [-90.0, -45.0, 0.0, 45.0, last]
+    assert_allclose(np.degrees(log.robot.beam_angles), directions, atol=1e-9)
 
 
-def test_beams_keep_the_order_asked_for_and_fill_their_sides(write: Any) -> None:
+def test_beams_keep_the_order_asked_for_and_fill_their_sides(write):
     values = changed(181 - 1, 1.0)
     values[0] = 0.5
-    log = read_log(write(scan(values)), (90.0, 18.0, 19.0, 21.0, -54.0, -90.0), 5.0)
-    assert [beam.side for beam in log.robot.beams] == [
-        "left",
-        "none",
-        "none",
-        "left",
-        "right",
-        "right",
-    ]
-    np.testing.assert_array_equal(log.ranges[0], float32(1.0, 2.0, 2.0, 2.0, 2.0, 0.5))
-    assert {(beam.x, beam.y, beam.min_range, beam.max_range) for beam in log.robot.beams} == {
-        (0.0, 0.0, 0.02, 5.0)
-    }
-    assert log.robot.radius == 0.2
-
-
-@pytest.mark.parametrize("reading", [3.0, 81.91, 1e6])
-def test_a_reading_at_or_past_the_cap_is_nothing_seen(write: Any, reading: float) -> None:
-    log = read_log(write(scan(changed(0, reading))), SIX, 3.0)
-    np.testing.assert_array_equal(log.ranges[0], float32(3.0, 2.0, 2.0, 2.0, 2.0, 2.0))
+    robot = (log := read_log(write(scan(values)), (90.0, 18.0, 21.0, -54.0, -90.0), 5.0)).robot
+    assert [beam.side for beam in robot.beams] == ["left", "none", "left", "right", "right"]
+    assert_array_equal(log.ranges[0], np.float32([1.0, 2.0, 2.0, 2.0, 0.5]))
+    limits = {(beam.x, beam.y, beam.min_range, beam.max_range) for beam in robot.beams}
+    assert limits == {(0.0, 0.0, 0.02, 5.0)}
+    assert robot.radius == 0.2
 
 
 @pytest.mark.parametrize(
-    ("top", "cap"), [(81.91, 100.0), (81.83, 100.0), (8.191, 20.0), (8.187, 8.19)]
+    ("top", "cap"),
+    [(3.0, 3.0), (1e6, 3.0), (81.91, 100.0), (81.83, 100.0), (8.191, 20.0), (8.187, 8.19)],
 )
-def test_a_lasers_own_maximum_is_nothing_seen_below_a_larger_cap(
-    write: Any, top: float, cap: float
-) -> None:
+def test_a_reading_past_the_cap_or_at_the_lasers_maximum_is_nothing_seen(write, top, cap):
     log = read_log(write(scan(changed(0, top))), SIX, cap)
-    assert log.ranges[0, 0] == np.float32(cap)
-    assert log.ranges[0, 1] == 2.0
+    assert_array_equal(log.ranges[0], np.float32([cap, 2.0, 2.0, 2.0, 2.0, 2.0]))
 
 
-def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write: Any) -> None:
+def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write):
     mount = np.array([0.2, -0.05, math.radians(90.0)])
-    lines = []
-    for step in range(5):
-        pose = np.array([0.3 * step, -0.1 * step, 0.7 * step])
-        laser = tuple(se2.compose(pose, mount).tolist())
-        lines.append(scan(odometry=(pose[0], pose[1], pose[2]), laser=laser))
+    poses = np.outer(np.arange(5.0), [0.3, -0.1, 0.7])
+    lines = [scan(odometry=pose, laser=tuple(se2.compose(pose, mount))) for pose in poses]
     beams = read_log(write(*lines), (-90.0, 0.0), 3.0).robot.beams
-    np.testing.assert_allclose([(b.x, b.y) for b in beams], [[0.2, -0.05]] * 2, atol=1e-6)
-    np.testing.assert_allclose([b.angle for b in beams], [0.0, math.pi / 2], atol=1e-6)
+    assert_allclose([(b.x, b.y) for b in beams], [[0.2, -0.05]] * 2, atol=1e-6)
+    assert_allclose([b.angle for b in beams], [0.0, math.pi / 2], atol=1e-6)
     assert [b.side for b in beams] == ["none", "left"]
-
-
-def test_laser_poses_that_a_mapper_corrected_are_no_mount(write: Any) -> None:
+    # Poses that a mapping program has corrected are no mount.
     lines = [scan(odometry=(s, 0.0, 0.0), laser=(s, 0.1 * s, 0.01 * s)) for s in range(20)]
     beams = read_log(write(*lines), SIX, 3.0).robot.beams
     assert {(b.x, b.y) for b in beams} == {(0.0, 0.0)}
-    np.testing.assert_allclose(np.degrees([b.angle for b in beams]), SIX)
+    assert_allclose(np.degrees([b.angle for b in beams]), SIX)
 
 
-def test_observations_hold_the_motion_in_the_robots_own_frame(write: Any) -> None:
+def test_observations_hold_the_motion_in_the_robots_own_frame(write):
     half = math.pi / 2
     path = write(
-        odom((5.0, 5.0, half)),
+        odom(5.0, 5.0, half),
         scan(odometry=(5.0, 6.0, half)),
         scan(odometry=(4.0, 6.0, -math.pi)),
-        odom((3.0, 6.0, 3.0)),
+        odom(3.0, 6.0, 3.0),
     )
     observations = list(read_log(path, SIX, 3.0).observations())
     expected = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, half], [1, 0, 3 - math.pi]])
-    np.testing.assert_allclose(
-        np.array([o["odometry"] for o in observations]), expected, atol=1e-12
-    )
-    assert all("wheels" not in o for o in observations)
+    motions = [each["odometry"] for each in observations]
+    assert_allclose(motions, expected, atol=1e-12)
+    assert not any("wheels" in each for each in observations)
     # Events without a scan measured nothing, which is not the same as having seen nothing.
-    assert ["ranges" in o for o in observations] == [False, True, True, False]
-    assert all(o["ranges"].dtype == np.float32 for o in observations[1:3])
-    np.testing.assert_array_equal([o["ranges"][0] for o in observations[1:3]], [2.0, 2.0])
+    assert ["ranges" in each for each in observations] == [False, True, True, False]
+    assert observations[1]["ranges"].dtype == np.float32
 
 
 # Impossible times
 
 
-def test_a_single_line_before_the_clock_was_set_is_left_out(write: Any) -> None:
+def test_a_single_line_before_the_clock_was_set_is_left_out(write):
     lines = [
         odom(at=-0.958593),
         *[scan(at=1e9 + number) for number in range(12)],
@@ -216,7 +146,7 @@ def test_a_single_line_before_the_clock_was_set_is_left_out(write: Any) -> None:
     assert log.notes == ("2 lines with a negative time were left out",)
 
 
-def test_a_clock_that_begins_below_zero_begins_at_zero(write: Any) -> None:
+def test_a_clock_that_begins_below_zero_begins_at_zero(write):
     log = read_log(write(*[scan(at=-2.5 + number) for number in range(12)]), SIX, 3.0)
     assert log.time.tolist() == [float(number) for number in range(12)]
     assert log.notes == ("the times begin at -2.5 s; 2.5 s were added to all of them",)
@@ -225,40 +155,38 @@ def test_a_clock_that_begins_below_zero_begins_at_zero(write: Any) -> None:
 # Other kinds of scans
 
 
-def laser(
-    kind: str, ranges: list[float], begin: float, step: float, tail: str, farthest: float = 30.0
-) -> str:
+def laser(kind, ranges, begin, step, tail, farthest=30.0):
     """A line whose scan says where its beams point, deg."""
     start, view, apart = (math.radians(each) for each in (begin, step * len(ranges), step))
     head = f"{kind} 0 {start:.6f} {view:.6f} {apart:.6f} {farthest} 0.01 0"
     return f"{head} {len(ranges)} {' '.join(map(str, ranges))} 2 100 200 {tail}\n"
 
 
-def robot_laser(at: float, ranges: list[float], x: float, begin: float, step: float) -> str:
+def robot_laser(at, ranges, x, begin, step):
     pose = f"{x} 0 0"
     return laser("ROBOTLASER1", ranges, begin, step, f"{pose} {pose} 0.1 0 0.3 0.3 1 {at} host 0.5")
 
 
-def raw_laser(at: float, ranges: list[float]) -> str:
+def raw_laser(at, ranges):
     return laser("RAWLASER1", ranges, -90.0, 1.0, f"{at} host 0.5")
 
 
-def test_scans_that_describe_their_beams_are_read_after_others(write: Any) -> None:
+def test_scans_that_describe_their_beams_are_read_after_others(write):
     numbered = [0.5 + 0.001 * beam for beam in range(181)]
     lines = [scan(numbered, (0.1 * at, 0.0, 0.0), at=float(at)) for at in range(3)]
     lines += [robot_laser(float(at), numbered, 0.1 * at, -90.0, 1.0) for at in range(3, 9)]
     log = read_log(write(*lines), (-90.0, 0.0), 3.0)
     assert log.has_scan.sum() == len(log) == 9
-    np.testing.assert_allclose(log.ranges, np.tile(float32(0.5, 0.59), (9, 1)), rtol=1e-6)
-    np.testing.assert_allclose(log.odometry[:, 0], 0.1 * np.arange(9), atol=1e-12)
+    assert_allclose(log.ranges, np.tile(np.float32([0.5, 0.59]), (9, 1)), rtol=1e-6)
+    assert_allclose(log.odometry[:, 0], 0.1 * np.arange(9), atol=1e-12)
     assert log.notes == ()
 
 
-def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write: Any) -> None:
+def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write):
     readings = [1.0, 30.0, 2.0, 4.0, 5.0]
     log = read_log(write(robot_laser(1.0, readings, 0.0, -120.0, 60.0)), (-120.0, -60.0, 120.0), 40)
-    np.testing.assert_array_equal(log.ranges[0], float32(1.0, 40.0, 5.0))
-    np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [-120.0, -60.0, 120.0], atol=1e-3)
+    assert_array_equal(log.ranges[0], np.float32([1.0, 40.0, 5.0]))
+    assert_allclose(np.degrees(log.robot.beam_angles), [-120.0, -60.0, 120.0], atol=1e-3)
     message = refusal(write(robot_laser(1.0, readings, 0.0, 0.0, 0.0)))
     assert ": line 1: 5 beams in steps of 0 rad are no scan" in message
     many = robot_laser(1.0, readings, 0.0, 0.0, 1.0).replace(" 5 1.0 30.0", " 999999999 1.0 30.0")
@@ -267,27 +195,27 @@ def test_a_scan_may_have_any_beams_and_its_longest_range_is_nothing_seen(write: 
     assert "ROBOTLASER1 has " in refusal(write(cut), (0.0,), 5.0)
 
 
-def test_scans_without_a_pose_take_that_of_odometry(write: Any) -> None:
+def test_scans_without_a_pose_take_that_of_odometry(write):
     numbered = [0.5 + 0.001 * beam for beam in range(181)]
-    lines = [odom((0.1 * at, 0.0, 0.0), at=10.0 + at) for at in range(5)]
+    lines = [odom(0.1 * at, at=10.0 + at) for at in range(5)]
     scans = [raw_laser(9.5 + at, numbered) for at in range(6)]
     log = read_log(
         write(*[each for both in zip(scans[:-1], lines, strict=True) for each in both], scans[-1]),
         (0.0,),
     )
     assert log.has_scan.tolist() == [False, *[True, False] * 4]
-    np.testing.assert_allclose(log.odometry[:, 0], 0.05 * np.arange(9), atol=1e-9)
-    np.testing.assert_allclose(log.ranges[log.has_scan], np.float32(0.59))
+    assert_allclose(log.odometry[:, 0], 0.05 * np.arange(9), atol=1e-9)
+    assert_allclose(log.ranges[log.has_scan], 0.59, rtol=1e-6)
     assert log.notes == ("2 scans before or after all odometry left out",)
 
 
-def test_scans_that_repeat_others_without_their_pose_are_left_out(write: Any) -> None:
+def test_scans_that_repeat_others_without_their_pose_are_left_out(write):
     lines = [each for at in range(4) for each in (raw_laser(at, [2.0] * 181), scan(at=float(at)))]
     log = read_log(write(*lines), SIX, 3.0)
     assert (len(log), log.notes) == (4, ())
 
 
-def test_lines_that_are_not_read_are_counted_by_kind(write: Any) -> None:
+def test_lines_that_are_not_read_are_counted_by_kind(write):
     others = ["RLASER 1 2 3\n"] * 3 + ["GPS 1\n"] + ["PARAM a b\n", "SYNC 1\n", "# note\n"]
     log = read_log(write(*others, scan()), SIX, 3.0)
     (note,) = log.notes
@@ -312,19 +240,19 @@ def test_lines_that_are_not_read_are_counted_by_kind(write: Any) -> None:
         (scan(180), "180 beams after scans of 181"),
     ],
 )
-def test_a_bad_line_is_refused_with_its_number(write: Any, line: str, words: str) -> None:
+def test_a_bad_line_is_refused_with_its_number(write, line, words):
     message = refusal(write("# first\n", scan(), odom(), line, scan()))
     assert ": line 4: " in message
     assert words in message
 
 
 @pytest.mark.parametrize("kept", [3, 700, -9])
-def test_a_last_line_that_is_cut_is_refused(write: Any, kept: int) -> None:
+def test_a_last_line_that_is_cut_is_refused(write, kept):
     message = refusal(write(odom(), scan(), scan()[:kept]))
     assert ": line 3: cut short: " in message
 
 
-def test_a_log_without_odometry_is_refused(write: Any) -> None:
+def test_a_log_without_odometry_is_refused(write):
     ranges = " ".join(["2.0"] * 181)
     for lines in (
         [f"RAWLASER1 0 -1.5708 3.14159 0.0174533 80 0.01 0 181 {ranges} 0 1.0 host 0.5\n"],
@@ -343,23 +271,8 @@ def test_a_log_without_odometry_is_refused(write: Any) -> None:
 # The project's own log
 
 
-def own_log(count: int = 4) -> dict[str, Any]:
-    robot = RobotSpec()
-    generator = np.random.default_rng(3)
-    return {
-        "time": 0.1 * np.arange(count),
-        "ranges": generator.uniform(0.1, 1.5, (count, 6)).astype(np.float32),
-        "wheels": generator.uniform(-0.03, 0.03, (count, 2)).astype(np.float32),
-        "action": generator.uniform(-1.0, 1.0, (count, 2)).astype(np.float32),
-        "true_pose": generator.uniform(-1.0, 1.0, (count, 3)),
-        "wall_seen": generator.integers(-2, 9, (count, 6)),
-        "robot": np.array(robot.to_json()),
-        "start_pose": np.array([1.0, 2.0, 0.5]),
-    }
-
-
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_our_own_log_comes_back_as_it_was(tmp_path: Path, save: Any) -> None:
+def test_our_own_log_comes_back_as_it_was(tmp_path, save):
     arrays = own_log()
     save(tmp_path / "log.npz", **arrays)
     log = read_log(tmp_path / "log.npz")
@@ -367,25 +280,22 @@ def test_our_own_log_comes_back_as_it_was(tmp_path: Path, save: Any) -> None:
     assert log.odometry is None
     assert log.has_scan.all()
     for name in ("time", "ranges", "wheels", "true_pose", "start_pose"):
-        np.testing.assert_array_equal(getattr(log, name), arrays[name])
-    observations = list(log.observations())
-    assert all(
-        "odometry" not in o and o["wheels"].dtype == o["ranges"].dtype == np.float32
-        for o in observations
-    )
-    np.testing.assert_array_equal([o["wheels"] for o in observations], arrays["wheels"])
-    np.testing.assert_array_equal([o["ranges"] for o in observations], arrays["ranges"])
+        assert_array_equal(getattr(log, name), arrays[name])
+    for name in ("ranges", "wheels"):
+        observed = np.array([each[name] for each in log.observations()])
+        assert observed.dtype == np.float32
+        assert_array_equal(observed, arrays[name])
 
 
 @pytest.mark.parametrize("name", sorted(own_log()))
-def test_our_own_log_without_one_of_its_arrays_is_refused(tmp_path: Path, name: str) -> None:
+def test_our_own_log_without_one_of_its_arrays_is_refused(tmp_path, name):
     arrays = own_log()
     del arrays[name]
     np.savez(tmp_path / "log.npz", **arrays)
     assert f"has no {name}" in refusal(tmp_path / "log.npz")
 
 
-def with_nan(array: Any) -> Any:
+def with_nan(array):
     array = np.array(array, dtype=float)
     array[2] = np.nan
     return array
@@ -401,9 +311,7 @@ def with_nan(array: Any) -> Any:
         ("robot", lambda _: np.array("{}"), "robot: not a robot"),
     ],
 )
-def test_our_own_log_with_something_wrong_in_it_is_refused(
-    tmp_path: Path, name: str, change: Any, words: str
-) -> None:
+def test_our_own_log_with_something_wrong_in_it_is_refused(tmp_path, name, change, words):
     arrays = own_log()
     arrays[name] = change(arrays[name])
     np.savez(tmp_path / "log.npz", **arrays)
@@ -413,25 +321,19 @@ def test_our_own_log_with_something_wrong_in_it_is_refused(
 # Which reader
 
 
-def test_a_log_is_opened_by_what_it_is(write: Any, tmp_path: Path) -> None:
+def test_a_log_is_opened_by_what_it_is(write, tmp_path):
     np.savez(tmp_path / "log.npz", **own_log())
+    for fixed, choice in (("beams", {"beams_deg": SIX}), ("largest range", {"max_range": 3.0})):
+        words = f"the log fixes its {fixed}, which cannot be chosen"
+        assert words in refusal(tmp_path / "log.npz", **choice)
     ours = (tmp_path / "log.npz").rename(tmp_path / "ours.clf")
     assert read_log(ours).wheels is not None
-    theirs = read_log(write(scan(), name="theirs.txt"))
-    assert theirs.odometry is not None
-    np.testing.assert_allclose(np.degrees(theirs.robot.beam_angles), SIX)
-    assert set(theirs.robot.max_ranges) == {3.0}
+    theirs = read_log(write(scan(), name="theirs.txt")).robot
+    assert_allclose(np.degrees(theirs.beam_angles), SIX)
+    assert set(theirs.max_ranges) == {3.0}
     chosen = read_log(write(scan()), (0.0, 30.0), 5.0).robot
-    np.testing.assert_allclose(np.degrees(chosen.beam_angles), [0.0, 30.0])
+    assert_allclose(np.degrees(chosen.beam_angles), [0.0, 30.0])
     assert set(chosen.max_ranges) == {5.0}
-
-
-def test_our_own_log_has_its_beams_and_range(tmp_path: Path) -> None:
-    np.savez(tmp_path / "log.npz", **own_log())
-    with pytest.raises(ValueError, match=r"log\.npz: the log fixes its beams"):
-        read_log(tmp_path / "log.npz", beams_deg=SIX)
-    with pytest.raises(ValueError, match=r"log\.npz: the log fixes its largest range"):
-        read_log(tmp_path / "log.npz", max_range=3.0)
 
 
 # Real logs
@@ -444,25 +346,21 @@ def test_our_own_log_has_its_beams_and_range(tmp_path: Path) -> None:
         ("csail/mit-csail.clf.gz", 1988, 1988, 424.0, 373.6),
     ],
 )
-def test_a_real_log_is_read_whole_and_with_little_work(
-    name: str, events: int, scans: int, seconds: float, metres: float
-) -> None:
+def test_a_real_log_is_read_whole_and_with_little_work(name, events, scans, seconds, metres):
     path = data_folder() / name
-    calls, log = count_calls(read_log, path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
+    calls = Counter()
+    before = sys.getprofile()
+    sys.setprofile(lambda _frame, event, _argument: calls.update([event]))
+    try:
+        log = read_log(path, (-90.0, -54.0, -18.0, 18.0, 54.0, 90.0), 5.0)
+    finally:
+        sys.setprofile(before)
     assert (len(log), int(log.has_scan.sum())) == (events, scans)
-    assert log.time[-1] - log.time[0] == pytest.approx(seconds, abs=0.1)
-    assert log.odometry is not None
-    assert np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum() == pytest.approx(metres, abs=0.1)
-    assert [beam.side for beam in log.robot.beams] == [
-        "right",
-        "right",
-        "none",
-        "none",
-        "left",
-        "left",
-    ]
+    assert np.ptp(log.time) == pytest.approx(seconds, abs=0.1)
+    driven = np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum()
+    assert driven == pytest.approx(metres, abs=0.1)
     assert np.all(log.ranges[~log.has_scan] == 5.0)
     assert 0.02 < np.mean(log.ranges[log.has_scan] == 5.0) < 0.5
     # 67 calls for each event, which take a tenth of a millisecond; a call for each value of a scan
     # would make 360.
-    assert calls < 130 * events
+    assert calls["call"] + calls["c_call"] < 130 * events

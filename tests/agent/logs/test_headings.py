@@ -4,28 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from support.data import own_log
 
 from limslam_agent import read_log
-from limslam_agent.logs.recorded_log import write_npz
-from limslam_env import RobotSpec
 
-ROBOT = RobotSpec()
 STEPS = 200
 
 
 def log_with(path, yaw, turning=0.004):
     """The log of a robot whose wheels turn it to the left."""
     wheels = np.tile((0.02 - turning, 0.02 + turning), (STEPS, 1))
-    write_npz(
-        path,
-        ROBOT,
-        time=0.1 * np.arange(STEPS),
-        ranges=np.full((STEPS, 6), 0.5),
-        wheels=wheels,
-        action=np.zeros((STEPS, 2)),
-        start_pose=np.zeros(3),
-        yaw=yaw,
-    )
+    np.savez(path, **{**own_log(STEPS), "wheels": wheels, "yaw": yaw})
     return read_log(path)
 
 
@@ -58,7 +48,7 @@ def test_a_heading_that_does_not_is_named_and_left_out(yaw, words, tmp_path):
 
 def test_a_heading_that_counts_clockwise_is_read_the_other_way(tmp_path):
     log = log_with(tmp_path / "log.npz", heading(-1.0))
-    np.testing.assert_allclose(log.yaw, heading())
+    assert_allclose(log.yaw, heading())
     (note,) = log.notes
     assert "it counts clockwise, or left and right are exchanged" in note
 
@@ -71,4 +61,4 @@ def test_headings_with_gaps_are_compared_over_the_gaps(tmp_path):
     sparse = np.where(np.arange(STEPS) % 5 == 0, heading(), math.nan)
     assert log_with(tmp_path / "log.npz", sparse).yaw is not None
     turned = log_with(tmp_path / "log.npz", -sparse).yaw
-    np.testing.assert_allclose(turned[::5], heading()[::5])
+    assert_allclose(turned[::5], heading()[::5])

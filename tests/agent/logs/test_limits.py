@@ -8,54 +8,29 @@ import pytest
 import yaml
 from support.bags import odometry, scan, write_bag
 from support.command_line import limslam
-from support.data import refusal
+from support.data import own_log, refusal
 
 from limslam_agent import read_log
 from limslam_agent.policies.learned.network import load_network
-from limslam_env import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable
 
 
-@pytest.fixture
-def write(tmp_path):
-    def _write(content, name="some.csv"):
-        path = tmp_path / name
-        path.write_bytes(content)
-        return path
-
-    return _write
-
-
 def test_too_many_columns_are_refused_and_only_chosen_columns_are_stored(write):
-    names = ",".join(f"r_{degrees / 100}" for degrees in range(4097))
-    path = write(f"t,x,y,theta,{names}\n0,0,0,0{',1' * 4097}\n".encode())
+    names = [f",r_{degrees / 100}" for degrees in range(4097)]
+    path = write("t,x,y,theta", *names, "\n0,0,0,0", ",1" * 4097, "\n")
     assert "4101 columns, more than 4100" in refusal(path)
-    path = write(f"t,x,y,theta,{names.rpartition(',')[0]}\n0,0,0,0{',1' * 4096}\n".encode())
+    path = write("t,x,y,theta", *names[:-1], "\n0,0,0,0", ",1" * 4096, "\n")
     assert read_log(path, (3.0, 5.0)).ranges.shape == (1, 2)
-
-
-def npz_with(path, **changes):
-    arrays = {
-        "time": np.arange(5.0),
-        "ranges": np.ones((5, 6)),
-        "wheels": np.zeros((5, 2)),
-        "action": np.zeros((5, 2)),
-        "true_pose": np.zeros((5, 3)),
-        "wall_seen": np.zeros((5, 6)),
-        "robot": np.array(RobotSpec().to_json()),
-        "start_pose": np.zeros(3),
-    } | changes
-    np.savez_compressed(path, **arrays)
-    return path
 
 
 def test_a_header_that_promises_more_than_the_file_holds_is_refused_before_memory_is_reserved(
     tmp_path,
 ):
-    path = npz_with(tmp_path / "log.npz")
+    path = tmp_path / "log.npz"
+    np.savez_compressed(path, **own_log())
     with zipfile.ZipFile(path) as archive:
-        held = {info.filename: archive.read(info) for info in archive.infolist()}
-    held["time.npy"] = held["time.npy"].replace(b"(5,), }", b"(5000000000,), }"[:16])
+        held = {name: archive.read(name) for name in archive.namelist()}
+    held["time.npy"] = held["time.npy"].replace(b"(4,), }", b"(4000000000,), }"[:16])
     with zipfile.ZipFile(path, "w") as archive:
         for name, content in held.items():
             archive.writestr(name, content)

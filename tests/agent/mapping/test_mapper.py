@@ -118,11 +118,16 @@ def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
         np.testing.assert_array_equal(belief.segments, other.segments)
 
 
+FARTHEST = r"start poses must be finite, and at most 1e\+07 m"
+
+
 @pytest.mark.parametrize(
     ("start", "message"),
     [
         (np.zeros(2), r"shape \(3,\), or \(n, 3\) for n robots, not \(2,\)"),
-        (np.array([0.0, np.nan, 0.0]), "must be finite, and at most"),
+        (np.array([0.0, np.nan, 0.0]), FARTHEST),
+        (np.array([1.1e7, 0.0, 0.0]), FARTHEST),
+        (np.array([1e300, 0.0, 0.0]), FARTHEST),
     ],
 )
 def test_a_bad_start_pose_is_refused_in_one_line(start, message):
@@ -131,22 +136,47 @@ def test_a_bad_start_pose_is_refused_in_one_line(start, message):
     assert "\n" not in str(refusal.value)
 
 
+RANGES = np.array([0.8, 0.9, 1.5, 1.5, 0.9, 0.8])
+
+
+def seen(**changes):
+    return {"ranges": RANGES, "wheels": np.array([0.03, 0.03]), **changes}
+
+
+TICKS = r"travels {} m in one step, .* 0.3 m/s for 0.1 s: wheels must be metres"
+MOVED = "odometry must be 3 finite numbers, at most 1000 m"
+
+
 @pytest.mark.parametrize(
-    "observations",
+    ("observations", "message"),
     [
-        [],
-        [{"wheels": np.array([np.nan, 0.0])}],
-        [{"ranges": np.ones(6)}],
-        [{"ranges": np.ones(4), "wheels": np.array([0.1, 0.1])}],
-        [{"wheels": np.array([78.0, 144.0]), "ranges": np.ones(6)}],
+        ([], "observations"),
+        ([{"ranges": RANGES}], "wheels"),
+        ([seen(wheels=np.array([np.nan, 0.0]))], "wheels"),
+        ([seen(wheels=np.array([78.0, 144.0]))], TICKS.format(144)),
+        ([seen(wheels=np.array([0.01, -14.0]))], TICKS.format(14)),
+        ([seen(wheels=np.array([1.0j, 0.0]))], "wheels must be 2"),
+        ([seen(wheels=[10**400, 0])], "wheels must be 2"),
+        ([seen(wheels=None)], "wheels must be 2"),
+        ([seen(ranges=np.ones(4))], "ranges must be 6"),
+        ([seen(ranges=RANGES * (1.0 + 1.0j))], "ranges must be 6"),
+        ([seen(ranges=["near"] * 6)], "ranges must be 6"),
+        ([seen(ranges=[10**400] * 6)], "ranges must be 6"),
+        ([seen(ranges=[[1.0], 1.0, 1.0, 1.0, 1.0, 1.0])], "ranges must be 6"),
+        *(
+            ([{"ranges": RANGES, "odometry": np.array([motion, 0.0, 0.0])}], MOVED)
+            for motion in (1e300, 1e20, 1001.0)
+        ),
     ],
+    ids=lambda value: str(value)[:40],
 )
-def test_a_refused_observation_changes_nothing(observations, drive):
+@pytest.mark.parametrize("name", ["paper", "consistent"])
+def test_a_refused_observation_changes_nothing(observations, message, name, drive):
     start, steps = first_robot(drive)
-    mapper = mapped(start, steps[:50])
+    mapper = mapped(start, steps[:50], preset(name, NOISE))
     before = mapper.belief
     odometry = mapper.odometry
-    with pytest.raises(ValueError, match=r"observation|wheels|ranges") as refusal:
+    with pytest.raises(ValueError, match=message) as refusal:
         mapper.step(*observations)
     assert "\n" not in str(refusal.value)
     np.testing.assert_array_equal(mapper.odometry, odometry)
@@ -165,18 +195,6 @@ def test_an_observation_that_is_no_dictionary_is_refused_in_one_line(wrong):
         LineSlam(ROBOT, CONFIG).step(wrong)
 
 
-@pytest.mark.parametrize("travel", [[78, 144], [0.01, -14.0]])
-def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(travel):
-    mapper = Mapper(ROBOT, CONFIG)
-    words = (
-        rf"travels {max(map(abs, travel)):g} m in one step, .* 0.3 m/s for 0.1 s: wheels must be "
-        r"metres"
-    )
-    with pytest.raises(ValueError, match=words):
-        mapper.step({"wheels": np.array(travel), "ranges": np.ones(6)})
-    np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
-
-
 @pytest.mark.parametrize(("ratio", "begins_again"), [(1.4, False), (1.6, True)])
 def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(drive, ratio, begins_again):
     start, steps = first_robot(drive)
@@ -188,59 +206,14 @@ def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(drive, r
     assert len(mapper.drive.scans) == mapper.slam.robots[0].step + 1 == 21
 
 
-RANGES = np.array([0.8, 0.9, 1.5, 1.5, 0.9, 0.8])
-
-
-def standing(**changes):
-    return {"ranges": RANGES, "wheels": np.array([0.03, 0.03]), **changes}
-
-
-@pytest.mark.parametrize("name", ["paper", "consistent"])
-@pytest.mark.parametrize("place", [1.1e7, 1e20, 1e300])
-def test_a_start_pose_that_is_merely_finite_is_refused(name, place):
-    with pytest.raises(ValueError, match=r"start poses must be finite, and at most 1e\+07 m"):
-        Mapper(ROBOT, preset(name, NOISE), np.array([place, 0.0, 0.0]))
-    with pytest.raises(ValueError, match=r"start poses must be finite, and at most 1e\+07 m"):
-        LimSlamAgent(ROBOT, preset(name, NOISE)).reset(np.array([place, 0.0, 0.0]))
-
-
 @pytest.mark.parametrize("name", ["paper", "consistent"])
 @pytest.mark.parametrize("start", [(9.9e6, -9.9e6, 0.0), (0.0, 0.0, 9.9e6)])
 def test_the_farthest_start_pose_is_mapped_from(name, start):
     mapper = Mapper(ROBOT, preset(name, NOISE), np.array(start))
     for _ in range(60):
-        mapper.step(standing())
+        mapper.step(seen())
     mapper.finish()
     assert np.hypot(*(mapper.snapshot().pose[:2] - np.array(start[:2]))) < 3.0
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"ranges": RANGES * (1.0 + 1.0j)},
-        {"ranges": ["near"] * 6},
-        {"ranges": [10**400] * 6},
-        {"ranges": [[1.0], 1.0, 1.0, 1.0, 1.0, 1.0]},
-        {"wheels": np.array([1.0j, 0.0])},
-        {"wheels": [10**400, 0]},
-        {"wheels": None},
-    ],
-    ids=lambda changes: str(changes)[:30],
-)
-def test_readings_that_are_no_real_numbers_are_refused_and_change_nothing(changes):
-    mapper = Mapper(ROBOT, CONFIG)
-    with pytest.raises(ValueError, match=r"(ranges|wheels) must be [26]") as refusal:
-        mapper.step(standing(**changes))
-    assert "\n" not in str(refusal.value)
-    assert mapper.slam.robots[0].step == -1
-
-
-@pytest.mark.parametrize("name", ["paper", "consistent"])
-@pytest.mark.parametrize("motion", [1e300, 1e20, 1001.0])
-def test_a_motion_that_is_merely_finite_is_refused(name, motion):
-    mapper = Mapper(ROBOT, preset(name, NOISE))
-    with pytest.raises(ValueError, match="odometry must be 3 finite numbers, at most 1000 m"):
-        mapper.step({"ranges": RANGES, "odometry": np.array([motion, 0.0, 0.0])})
 
 
 @pytest.mark.parametrize("name", ["paper", "consistent"])

@@ -33,12 +33,6 @@ def test_dropped_readings_are_neither_measured_nor_collected():
     assert sum(len(side.points) for side in alone.pending_points) == 1
 
 
-def test_there_must_be_one_observation_for_each_robot():
-    slam = LineSlam(ROBOT, AgentConfig(), STARTS)
-    with pytest.raises(ValueError, match="1 observations for 2 robots"):
-        slam.step({"wheels": np.zeros(2)})
-
-
 def test_a_team_explores_together_without_touching():
     count = 2
     env = LimSlamParallelEnv(
@@ -82,6 +76,8 @@ def test_bad_teams_are_refused():
         LimSlamTeam(ROBOT, num_robots=0)
     with pytest.raises(ValueError, match="1 policies for 2 robots"):
         LimSlamTeam(ROBOT, policies=[FrontierPolicy(ROBOT, AgentConfig().policy)])
+    with pytest.raises(ValueError, match=r"2 robots need start poses \(2, 3\)"):
+        LimSlamTeam(ROBOT).reset(np.zeros((3, 3)))
 
 
 def test_an_observation_that_is_refused_changes_nothing_for_anybody():
@@ -92,8 +88,3 @@ def test_an_observation_that_is_refused_changes_nothing_for_anybody():
             slam.step(good, bad)
         np.testing.assert_array_equal(slam.poses, STARTS)
         assert [front.step for front in slam.robots] == [-1, -1]
-
-
-def test_a_team_needs_a_start_for_each():
-    with pytest.raises(ValueError, match=r"2 robots need start poses \(2, 3\)"):
-        LimSlamTeam(ROBOT).reset(np.zeros((3, 3)))

@@ -11,8 +11,7 @@ from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.kernels.extents import add_wall, count_hits
-from limslam_agent.kernels.rays import scan_poses
-from limslam_agent.kernels.tables import LENGTH, LOW, RAY_LENGTH, RAY_REACH, RAY_TO_X, empty_walls
+from limslam_agent.kernels.tables import LENGTH, LOW, empty_walls
 from limslam_agent.places.localisation import FAR_SHARE, LEAD, KnownPlaces, agree, localise
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
@@ -54,13 +53,11 @@ def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
 
 def test_a_drive_with_wide_and_biased_beams_is_placed_by_the_sensor_that_was_found():
     wide = RangeSensor(STD, cone=0.2, bias=0.08)
-    place = known(
-        [[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]], HALL
-    )
+    place = known(WAY, HALL)
     rays = rays_of(drive(PART, HALL, sensor=wide), ROBOT, wide)
-    (as_stated,) = place.weigh(np.zeros((1, 3)), rays)
+    as_stated = place.fit_here(rays)
     place.sensor = wide
-    (as_found,) = place.weigh(np.zeros((1, 3)), rays)
+    as_found = place.fit_here(rays)
     assert as_found.evidence > as_stated.evidence + 50.0
     found = localise(place, rays)
     assert found.is_accepted, found.refusal
@@ -158,35 +155,6 @@ def test_readings_that_say_nothing_have_no_ray():
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()
-
-
-def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
-    cells = np.random.default_rng(7).normal(size=(2, 100, 140)).astype(np.float32)
-    fields = np.ascontiguousarray(cells.reshape(2, 50, 2, 70, 2).transpose(0, 2, 4, 1, 3))
-    rays = rays_of(drive(PART, HALL), ROBOT)[:40]
-    turns = np.array([0.4, -2.0])
-    middle = rays[:, :RAY_TO_X].mean(axis=0)
-    scores = np.empty((2, 50, 70), dtype=np.float32)
-    scan_poses(turns, rays, middle, fields, 0.05, np.empty(rays.shape, dtype=np.int64), scores)
-    lengths = rays[:, RAY_LENGTH]
-    ended = rays[:, RAY_LENGTH] < rays[:, RAY_REACH]
-    inner = np.where(ended, np.maximum(lengths - 0.2, 0.0), lengths)
-    assert 0 < ended.sum() < len(rays)
-    for number, turn in enumerate(turns):
-        for place in ((30, 20), (4, 51), (45, 69)):
-            total = 0.0
-            for kind, along in ((0, lengths), (1, inner), (1, 0.5 * inner)):
-                ends = rays[:, :RAY_TO_X] - middle + along[:, None] * rays[:, RAY_TO_X:RAY_LENGTH]
-                points = se2.transform_points(np.array([0.0, 0.0, turn]), ends)
-                column, row = (
-                    (2 * np.array(place)[::-1] + np.floor(points / 0.05 + 0.5)).astype(int).T
-                )
-                inside = (
-                    (row >= 0) & (row < cells.shape[1]) & (column >= 0) & (column < cells.shape[2])
-                )
-                inside &= ended | (kind == 1)
-                total += cells[kind, row[inside], column[inside]].sum()
-            assert scores[(number, *place)] == pytest.approx(total, abs=1e-3)
 
 
 MATCH = np.diag([0.05, 0.05, 0.03]) ** 2

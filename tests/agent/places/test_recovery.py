@@ -184,13 +184,23 @@ def test_a_robot_that_has_slipped_goes_on_near_by(step, turn):
     assert abs(last - step) <= 10
 
 
+def followed(episode, steps, jump=None, mapper=None):
+    """A mapper that gets what was observed in some steps, in one of which its wheels jump."""
+    mapper = mapper or Mapper(ROBOT, preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
+    for number in steps:
+        wheels = episode.wheels[number, 0] + (2.0 if number == jump else 0.0)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    return mapper
+
+
+def events_of(mapper):
+    return [record["event"] for record in mapper.places.records]
+
+
 @pytest.mark.parametrize("step", [0, 50])
 def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
-    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
-    for number in range(80):
-        wheels = episode.wheels[number, 0] + (2.0 if number == step else 0.0)
-        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
-    events = [event["event"] for event in mapper.places.records]
+    mapper = followed(episode, range(80), step)
+    events = events_of(mapper)
     assert "lost" in {mapper.statuses[0].level, *events}
     # The jump is doubted once, and not again in each step of the local frame, which begins with it.
     assert events.count("lost") <= 2
@@ -203,11 +213,8 @@ def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
 
 def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode, monkeypatch):
     monkeypatch.setattr("limslam_agent.mapping.mapper.RESTART_WITHIN", 0)
-    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
-    for number in range(60):
-        wheels = episode.wheels[number, 0] + (2.0 if number == 20 else 0.0)
-        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
-    assert [event["event"] for event in mapper.places.records] == ["lost", "begun anew"]
+    mapper = followed(episode, range(60), 20)
+    assert events_of(mapper) == ["lost", "begun anew"]
     assert mapper.statuses[0] == Status("unsure", BEGUN_ANEW)
     assert mapper.covariances[0, 0, 0] > 1.0, "the jump may be wrong"
     (revision,) = mapper.places.revisions
@@ -220,19 +227,17 @@ def test_a_doubt_that_the_believed_place_never_decides_is_decided_by_another_pla
     episode, monkeypatch
 ):
     monkeypatch.setattr("limslam_agent.status.sudden_changes.UNLIKELY", np.inf)  # never certain
-    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
-    levels = []
+    mapper = followed(episode, [])
     for number in range(len(episode.ranges)):
-        mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
-        levels.append(mapper.statuses[0].level)
+        assert mapper.statuses[0].level != "lost"
+        followed(episode, [number], mapper=mapper)
         if mapper.places.records:
             break
-    assert [event["event"] for event in mapper.places.records] == ["lost", "found"]
-    assert "lost" not in levels
+    assert events_of(mapper) == ["lost", "found"]
     assert errors(mapper.poses[None], episode.true[number][None])[0] < 0.4
 
 
-def standing(mapper, ranges, steps):
+def stand(mapper, ranges, steps):
     """A robot that stands reads the same again."""
     for _ in range(steps):
         mapper.step({"ranges": ranges, "wheels": np.zeros(2)})
@@ -241,43 +246,38 @@ def standing(mapper, ranges, steps):
 def test_a_robot_that_is_lost_for_long_keeps_its_latest_map(episode, monkeypatch):
     monkeypatch.setattr("limslam_agent.mapping.mapper.RESTART_WITHIN", 0)
     monkeypatch.setattr("limslam_agent.mapping.recovery.LONGEST_ABSENCE", 1000)
-    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
-    for number in range(400):
-        wheels = episode.wheels[number, 0] + (2.0 if number == 390 else 0.0)
-        mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
+    mapper = followed(episode, range(400), 390)
     assert mapper.statuses[0].level == "lost"
-    lost_in = mapper.map_number
-    frame = mapper.frame
-    standing(mapper, episode.ranges[399, 0], 1000)
-    assert [event["event"] for event in mapper.places.records] == ["lost", "given up"]
+    present = (mapper.map_number, mapper.frame)
+    stand(mapper, episode.ranges[399, 0], 1000)
+    assert events_of(mapper) == ["lost", "given up"]
     assert mapper.statuses[0] == mapper.places.doubt == Status("unsure", GIVEN_UP)
-    assert (mapper.map_number, mapper.frame) == (lost_in, frame)
+    assert (mapper.map_number, mapper.frame) == present
     assert mapper.covariances[0, 0, 0] > 1.0, "the jump may be wrong"
     # A robot that is lost again comes back to the map that it has now.
-    mapper.step({"ranges": episode.ranges[399, 0], "wheels": np.full(2, 2.0)})
-    assert mapper.places.records[-2]["event"] == "lost"
+    followed(episode, [399], 399, mapper)
+    assert events_of(mapper)[-2] == "lost"
     mapper.finish()
     assert mapper.places.unplaced is None
 
 
 def test_a_robot_whose_place_is_not_confirmed_for_long_stays_there(episode, monkeypatch):
     monkeypatch.setattr("limslam_agent.mapping.recovery.LONGEST_ABSENCE", 1000)
-    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
-    for number in range(len(episode.ranges)):
-        mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0]})
-        if mapper.statuses[0] == Status("unsure", NOT_CONFIRMED):
-            break
+    steps = iter(range(len(episode.ranges)))
+    mapper = followed(episode, [])
+    while mapper.statuses[0] != Status("unsure", NOT_CONFIRMED):
+        number = next(steps)
+        followed(episode, [number], mapper=mapper)
     pose = mapper.poses[0]
-    events = [event["event"] for event in mapper.places.records]
+    events = events_of(mapper)
     assert events[-1] == "found"
-    standing(mapper, episode.ranges[number, 0], 1200)
-    assert [event["event"] for event in mapper.places.records] == events
+    stand(mapper, episode.ranges[number, 0], 1200)
+    assert events_of(mapper) == events
     assert mapper.statuses[0] == Status("unsure", NOT_CONFIRMED)
     np.testing.assert_allclose(mapper.poses[0], pose, atol=0.05)
     # The place can still be confirmed or refuted.
-    for later in range(number + 1, len(episode.ranges)):
-        mapper.step({"ranges": episode.ranges[later, 0], "wheels": episode.wheels[later, 0]})
-    assert errors(mapper.poses[None], episode.true[later][None])[0] < 0.4
+    followed(episode, steps, mapper=mapper)
+    assert errors(mapper.poses[None], episode.true[-1][None])[0] < 0.4
     assert mapper.statuses[0].level != "lost"
 
 

@@ -1,6 +1,5 @@
 """Runs with each policy, how they end, and the offline optimum beside them."""
 
-import json
 import math
 from dataclasses import replace
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 from support.command_line import limslam
+from support.runs import result_of
 
 from limslam_agent import preset
 from limslam_agent.config.smoother import RenewalConfig
@@ -247,7 +247,8 @@ def test_the_command_writes_both_metrics(tmp_path):
     drive = ("--world", "square", "--laps", "1", "--noise", "0.02", "--max-time", "20")
     result = limslam("run", *drive, "--limit", "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
-    metrics = json.loads((tmp_path / "run" / "result.json").read_text())["metrics"]
+    metrics = result_of(tmp_path / "run")["metrics"]
+    assert metrics["exploration_time_s"] is None
     assert 0.0 < metrics["limit_ate_m"] < 0.1
     assert metrics["ate_over_limit"] == pytest.approx(metrics["ate_m"] / metrics["limit_ate_m"])
     assert f"limit       {metrics['limit_ate_m']:.3f} m rms" in result.stdout

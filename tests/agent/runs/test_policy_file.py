@@ -2,14 +2,14 @@
 its place.
 """
 
-import json
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
-from support.command_line import limslam
+from support.command_line import limslam, told
+from support.runs import result_of
 
 GOOD = '''
 import dataclasses
@@ -71,31 +71,26 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_policy_of_a_file_gets_everything_that_a_run_gets(folder):
-    done = limslam(
+    done = told(
         "run", "--policy", "mine.py:Ahead", "--out", "first", "--video", "first.gif", "--seed", "4"
     )
-    assert done.returncode == 0, done.stderr
-    assert "stopped     enough" in done.stdout
+    assert "stopped     enough" in done
     assert (folder / "first" / "map.png").is_file()
     assert (folder / "first.gif").is_file()
-    result = json.loads((folder / "first" / "result.json").read_text())
+    result = result_of(folder / "first")
     assert (result["config"]["policy"], result["record"]["steps"]) == ("mine.py:Ahead", 8)
     assert "mine.py:Ahead" in limslam("show", "first", "--out", "sheet.png").stdout.splitlines()[0]
 
 
 def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
-    assert (
-        limslam("run", "--policy", folder / "mine.py:random_ahead", "--out", "first").returncode
-        == 0
-    )
+    told("run", "--policy", folder / "mine.py:random_ahead", "--out", "first")
     (folder / "mine.py").unlink()
     (folder / "first").rename(folder / "handed out")
     assert (
         tomllib.loads((folder / "handed out" / "run.toml").read_text())["policy"]
         == "mine.py:random_ahead"
     )
-    again = limslam("run", "--config", folder / "handed out" / "run.toml", "--out", "second")
-    assert again.returncode == 0, again.stderr
+    told("run", "--config", folder / "handed out" / "run.toml", "--out", "second")
     one, other = (
         Path(name, "trajectory_true.tum").read_bytes() for name in ("handed out", "second")
     )
@@ -197,6 +192,5 @@ def test_what_cannot_drive_is_refused_in_one_line(policy, words, folder):
 def test_the_example_drives(tmp_path):
     if not EXAMPLE.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
-    done = limslam("run", "--policy", f"{EXAMPLE}:TurnFromWalls", "--max-time", "5", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    told("run", "--policy", f"{EXAMPLE}:TurnFromWalls", "--max-time", "5", cwd=tmp_path)
     assert len(list((tmp_path / "runs").glob("*TurnFromWalls/map.png"))) == 1

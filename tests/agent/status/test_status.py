@@ -20,7 +20,7 @@ from limslam_agent.record import Drive, Scan
 from limslam_agent.runs.episode import another_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.chance import chance_off
-from limslam_agent.status.known_map import KnownMap, contradiction_test, drift_fit, slip_fit
+from limslam_agent.status.known_map import KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import CARRIED, WINDOW, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of, step_rays
 from limslam_agent.status.status import (
@@ -148,20 +148,6 @@ def test_ends_of_beams_in_free_space_contradict_unless_they_are_beside_unknown_g
     rows, columns = FREE.cells(ends).T
     values[rows, columns + 1] = 0
     assert not explained(nothing, grid=GridView(FREE.low, FREE.cell, values))[0].against.any()
-
-
-@pytest.mark.parametrize("bias", [0.4, -0.4])
-def test_readings_fit_the_map_by_the_sensor_that_is_known_now(bias):
-    ranges = np.minimum(ranges_at(POSE, WALLS) + bias, ROBOT.max_ranges - 0.01)
-    assert explained(WALLS, ranges)[0].against.any()
-    assert not explained(WALLS, ranges, sensor=RangeSensor(NOISE, bias=bias))[0].against.any()
-
-
-def test_contradictions_are_tested_by_their_rate():
-    assert contradiction_test(0, 100) < -10.0
-    assert contradiction_test(12, 100) > 20.0
-    assert contradiction_test(3, 100) < contradiction_test(3, 50) < contradiction_test(4, 50)
-    assert contradiction_test(4, 60) > contradiction_test(4, 60, may_be_bent=True)
 
 
 @pytest.mark.parametrize("off", [(0.2, -0.1, 0.08), (0.0, 0.0, 0.0)])

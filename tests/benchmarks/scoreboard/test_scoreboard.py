@@ -70,9 +70,9 @@ def tiny(tmp_path):
     return path
 
 
-def drive(fault=None, *, jitter=0.0, seconds=20.0, **settings):
+def drive(fault=None, *, seconds=20.0, **settings):
     row = Row("one", "drive", ("env1",), seconds=seconds, fault=fault, **settings)
-    return recorded_drive(row, world_of("env1"), 3, jitter)
+    return recorded_drive(row, world_of("env1"), 3)
 
 
 def cells(row, values, **others):
@@ -111,7 +111,7 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
 def test_an_exploration_is_measured_with_what_became_of_a_kidnapped_robot():
     row = Row("lost", "exploration", ("env1",), kidnapped=(20.0, 21.0), seconds=4.0)
     (job,) = row.cells(3)
-    found = measure({"lost": row}, 0.0, job)
+    found = measure({"lost": row}, job)
     assert found.metrics["driven_s"] == pytest.approx(24.5, abs=1.0)
     assert found.metrics["placed"] in {0, 1}
     assert "ate_m" not in found.metrics
@@ -127,7 +127,7 @@ def test_an_exploration_is_measured_with_what_became_of_a_kidnapped_robot():
 )
 def test_each_kind_of_row_has_its_figures(kind, figures):
     row = Row("one", kind, ("square",), seconds=10.0, biases=(0.05, -0.03))
-    found = measure({"one": row}, 0.0, row.cells(3)[0])
+    found = measure({"one": row}, row.cells(3)[0])
     assert figures <= found.metrics.keys()
 
 
@@ -135,7 +135,7 @@ def test_a_folder_is_for_one_estimator_and_one_file_of_rows(tiny, tmp_path, monk
     rows = read_rows(tiny)
     run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother())
     with pytest.raises(ValueError, match="choose another folder"):
-        run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother(), jitter=1e-4)
+        run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother(), unused=True)
     monkeypatch.setattr("benchmarks.scoreboard.board.digest_of", lambda _: "another")
     with pytest.raises(ValueError, match="choose another folder"):
         run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother())
@@ -441,6 +441,6 @@ def test_few_readings_are_left_in_a_metre(ring):
     left = thinned(hit, moves, 40.0)
     assert left.sum() / driven == pytest.approx(40.0, rel=0.1)
     assert not (left & ~hit).any()
-    sensors = [sparse_sensor(seed) for seed in range(32)]
+    sensors = [sparse_sensor(seed, 5.0, 40.0) for seed in range(32)]
     assert {len(beams) for beams, _ in sensors} == {4, 6, 8, 11}
     assert all(5.0 <= points <= 40.0 for _, points in sensors)

@@ -173,7 +173,7 @@ REASONS = {
 
 
 def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(tmp_path):
-    suite = Suite("troubled", "", tuple(TROUBLED), "d")
+    suite = Suite("troubled", tuple(TROUBLED), "d")
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     summary = run_suite(suite, tmp_path, Processes(2, GUARD), work=benchmark_work.troubled)
     rows = {row.seed: row for row in read_rows(tmp_path)}
@@ -233,7 +233,7 @@ def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
 @pytest.fixture
 def results(tmp_path):
     """A folder with the results of a suite of well jobs."""
-    suite = Suite("well", "", tuple(TROUBLED[:2]), "d")
+    suite = Suite("well", tuple(TROUBLED[:2]), "d")
     run_suite(suite, tmp_path / "out", Processes(1, GUARD), work=benchmark_work.outcome)
     return tmp_path / "out"
 
@@ -241,19 +241,3 @@ def results(tmp_path):
 def test_the_command_tabulates(results):
     shown = benchmarks("table", results)
     assert (shown.returncode, shown.stdout) == (0, tables.table(read_rows(results)))
-
-
-JOBS = tuple(Job("env1", 0.02, seed=seed) for seed in range(2))
-
-
-class Here:
-    """Jobs are done in this process."""
-
-    def run(self, jobs, work):
-        yield from ((job, work(job)) for job in jobs)
-
-
-@pytest.fixture
-def folder(tmp_path):
-    run_suite(Suite("tiny", "", JOBS, "d1"), tmp_path / "out", Here(), work=benchmark_work.outcome)
-    return tmp_path / "out"

@@ -414,26 +414,3 @@ def test_other_robots_map_a_room(robot: RobotSpec) -> None:
         assert (np.abs(off) < [0.10, math.radians(4.0)]).all(axis=1).any()
     check_pose(slam, poses[-1], 0.10, 3.0)
     check_covariance(slam)
-
-
-def test_odometry_poses_serve_in_place_of_wheels() -> None:
-    start = np.array([1.0, 2.0, -2.9])
-    walls = placed(ROOM, start)
-    observations, poses = drive(walls, start, along(LOOP), noise=0.02)
-    logged = list[Observation]()
-    before = poses[0]
-    for observation, pose in zip(observations, poses, strict=True):
-        logged.append(
-            Observation(
-                ranges=observation["ranges"], odometry=se2.compose(se2.inverse(before), pose)
-            )
-        )
-        before = pose
-    # The heading of this odometry drifts by 0.2 degrees a metre.
-    for each in logged:
-        each["odometry"][2] += math.radians(0.2) * each["odometry"][0]
-    slam, records = slam_after(logged, NOISY, start)
-    assert len(slam.landmarks) == len(ROOM)
-    check_pose(slam, poses[-1], 0.25, 4.0)
-    check_covariance(slam)
-    check_each_reading_is_used_once(records)

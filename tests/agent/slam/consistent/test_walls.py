@@ -12,9 +12,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.drives import ROBOT, drive, recorded, straight
-from support.readings import Readings, clone_poses, hit_points, points_of
+from support.readings import (
+    Readings,
+    clone_poses,
+    hit_points,
+    of_filter,
+    points_of,
+)
 
-from limslam_agent import BatchSlam, LineSlam, preset
+from limslam_agent import LineSlam, preset
 from limslam_agent.config.consistent import ConsistentConfig, ExtentConfig
 from limslam_agent.kernels.extents import (
     Looks,
@@ -24,6 +30,7 @@ from limslam_agent.kernels.extents import (
     merge_walls,
     pass_at,
 )
+from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     BIN,
@@ -33,11 +40,10 @@ from limslam_agent.kernels.tables import (
     MIDDLE_Y,
     THETA,
     empty_walls,
+    select,
 )
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.clone_filter import straight_segments
 from limslam_agent.slam.consistent.limits import FAR_GATE
-from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.consistent.wall_map import WallExtent, WallMap
 from limslam_agent.slam.core.diagnostics import Comparison
 from limslam_agent.slam.core.line_fit import fit_line
@@ -85,13 +91,9 @@ class Drive(NamedTuple):
         """
         chosen = np.arange(len(self.hits)) if members is None else members
         line = fit_line(self.points[chosen], self.std).line if about is None else about
-        places = places_of(self.belief.arrays, self.readings.clones)
-        readings = self.readings
-        points = points_of(self.belief, readings, float(line[1]))
-        variances = readings.variances(self.std)
-        segments, owner, _ = straight_segments(
-            self.belief.arrays, places, readings.rows, points, chosen, line, self.std, variances
-        )
+        points = points_of(self.belief, self.readings, float(line[1]))
+        own = select(of_filter(self.belief, self.readings, self.std), chosen)
+        segments, owner, _ = cut_at_bends(self.belief.arrays, own, points[chosen], line, self.std)
         return [
             WallSegment(
                 chosen[owner == number],
@@ -295,19 +297,6 @@ def test_a_filter_that_is_too_sure_is_corrected_by_the_only_wall_nearby() -> Non
     assert refused[0].excluded == ""
 
 
-def test_the_batch_is_corrected_alike() -> None:
-    observations, _ = misled(6.0)
-    slam = LineSlam(ROBOT, CONFIG, START)
-    batch = BatchSlam(ROBOT, CONFIG, 1, num_threads=1, size=0)
-    batch.reset(START[None])
-    for seen in observations:
-        slam.step(seen)
-        beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
-        np.testing.assert_allclose(beliefs.pose[0], slam.pose, rtol=0.0, atol=1e-6)
-        np.testing.assert_allclose(beliefs.covariance[0], slam.covariance, rtol=0.0, atol=1e-6)
-    assert batch.num_landmarks[0] == 1
-
-
 def test_a_turn_beyond_the_far_gate_is_not_taken_back() -> None:
     observations, pose = misled(10.0)
     slam, _ = recorded(observations, CONFIG, START)
@@ -402,10 +391,7 @@ def beams_from(
         ekf.x[:3] = *origin, heading
         clear_along_beams(
             walls.arrays,
-            ekf.x,
-            ekf.P,
-            ekf.counts,
-            ekf.anchors,
+            ekf,
             0,
             Looks(np.array([free]), np.ones(1, dtype=bool), beam, std, 0.0),
         )

@@ -349,16 +349,6 @@ def test_the_smoother_finds_the_drift_and_says_so_in_the_figures() -> None:
     assert replay.self_calibration.words.startswith("heading of the IMU: drift 0.")
 
 
-def test_headings_that_come_at_a_fifth_of_the_steps_help_as_well() -> None:
-    log = drive(6, 60.0, NoiseConfig(axle_mismatch=0.1, yaw_drift=math.radians(0.3)))
-    assert log.yaw is not None
-    sparse = np.where(np.arange(len(log)) % 5 == 0, log.yaw, math.nan)
-    by_wheels = replay_log(replace(log, yaw=None), config_of())
-    replay = replay_log(replace(log, yaw=sparse), config_of())
-    assert error(log, replay.estimated) < error(log, by_wheels.estimated)
-    assert drift_of(replay)[0] == pytest.approx(math.radians(0.3), abs=4.0 * drift_of(replay)[1])
-
-
 def test_headings_without_a_single_reading_change_nothing() -> None:
     log = drive(1, 20.0, NoiseConfig())
     without = replay_log(replace(log, yaw=None), config_of())
@@ -388,18 +378,3 @@ def test_pose_and_drift_are_as_uncertain_as_the_filter_says() -> None:
         drifts.append(((drift - true) / std) ** 2)
     assert 1.0 < np.mean(poses) < 5.0
     assert 0.3 < np.mean(drifts) < 2.5
-
-
-def test_a_copy_of_a_mapper_goes_on_like_the_mapper() -> None:
-    meter = TurnMeter(ROBOT, NOISE)
-    assert meter.step(0.0, STRAIGHT).angle == 0.0
-    log = drive(2, 30.0, NoiseConfig(yaw_drift=math.radians(0.5)))
-    mapper = Mapper(ROBOT, config_of("consistent"), log.start_pose)
-    observations = list(log.observations())
-    for observation in observations[:150]:
-        mapper.step(observation)
-    copy = mapper.slam.copied()
-    for observation in observations[150:]:
-        mapper.slam.step(observation)
-        copy.step(observation)
-    np.testing.assert_array_equal(copy.pose, mapper.slam.pose)

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.kernels import lines
 from limslam_agent.kernels.compilation import entry
-from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines, fit_line
+from limslam_agent.kernels.tables import LineRules
+from limslam_agent.slam.core.line_fit import LineFit, extract_lines, fit_line
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.geometry import line as line_geometry
 
@@ -36,10 +37,10 @@ def wall(
     return points + generator.normal(0.0, std, (count, 2))
 
 
-def assert_line(found: ExtractedLine, r: float, theta: float) -> None:
+def assert_line(found: LineFit, r: float, theta: float) -> None:
     expected = np.array([r, theta])
     np.testing.assert_allclose(
-        line_geometry.nearest_form(found.fit.line, expected), expected, atol=0.04
+        line_geometry.nearest_form(found.line, expected), expected, atol=0.04
     )
 
 
@@ -51,8 +52,8 @@ def test_one_wall_is_found_once(degrees: float, std: float) -> None:
     for r in (0.0, 0.5, 3.0):
         found = extract_lines(wall(r, theta, -0.4, 0.4, std=std, seed=3), CONFIG, max(std, 0.005))
         assert len(found) == 1
-        assert_line(found[0], r, theta)
-        assert len(found[0].members) >= 27
+        assert_line(found[0][0], r, theta)
+        assert len(found[0][1]) >= 27
 
 
 def test_a_corner_gives_both_walls() -> None:
@@ -67,7 +68,7 @@ def test_a_corner_gives_both_walls() -> None:
         assert len(found) == 2
         # Which has more votes depends on how the bins cut the walls. The first 20 points are the
         # first wall's.
-        first, second = sorted(found, key=lambda line: float(np.median(line.members)))
+        (first, _), (second, _) = sorted(found, key=lambda line: float(np.median(line[1])))
         assert_line(first, 0.5, turn)
         assert_line(second, 0.5, turn + 0.5 * math.pi)
 
@@ -78,13 +79,13 @@ def test_walls_are_cut_at_gaps_above_the_setting(theta: float) -> None:
         (wall(0.5, theta, -1.0, -0.4, count=15), wall(0.5, theta, 0.4, 1.0, count=15, seed=1))
     )
     found = extract_lines(apart, CONFIG, 0.005)
-    assert [line.fit.length for line in found] == pytest.approx([0.6, 0.6], abs=0.03)
-    assert sorted(tuple(sorted(line.members.tolist())) for line in found) == [
+    assert [fit.length for fit, _ in found] == pytest.approx([0.6, 0.6], abs=0.03)
+    assert sorted(tuple(sorted(members.tolist())) for _, members in found) == [
         tuple(range(15)),
         tuple(range(15, 30)),
     ]
     near = np.vstack((wall(0.5, theta, -0.6, -0.1, count=15), wall(0.5, theta, 0.1, 0.6, count=15)))
-    assert [line.fit.length for line in extract_lines(near, CONFIG, 0.005)] == pytest.approx(
+    assert [fit.length for fit, _ in extract_lines(near, CONFIG, 0.005)] == pytest.approx(
         [1.2], abs=0.03
     )
 
@@ -138,7 +139,8 @@ def test_votes_are_those_of_opencv() -> None:
             max_theta=math.pi,
             theta_step=math.pi / 90,
         )
-        found = hough_votes(points, votes, 0.06, math.pi / 90)
+        rules = LineRules(0.0, 0.0, 0.0, votes, 0.06, math.pi / 90, only_best=False)
+        found = hough_votes(points, rules)
         expected = expected.reshape(-1, 3)
         np.testing.assert_allclose(
             found, expected[np.argsort(-expected[:, 0], kind="stable"), 1:], atol=1e-6

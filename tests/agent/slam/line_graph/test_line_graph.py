@@ -14,6 +14,7 @@ from support.smoother_runs import (
     ROUND,
     WALLS,
     WHEEL_VARIANCE,
+    noisy_filtered,
     noisy_run,
     position_error,
     state_from_motions,
@@ -46,9 +47,10 @@ from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     RELATIVE_PRIOR,
     expected,
+    make_problem,
     state_from_poses,
 )
-from limslam_agent.slam.line_graph.run import FilteredRun, beside
+from limslam_agent.slam.line_graph.run import beside
 from limslam_agent.slam.line_graph.smoother import settle, smooth_run, smooth_with_unknown_start
 from limslam_agent.slam.line_graph.solution import solve
 from limslam_env import NominalNoise
@@ -187,39 +189,17 @@ def widened(problem, poses, width):
     )
 
 
-def wheels_of(problem):
-    """The reported travel (n, t - 1, 2) of the wheels."""
-    ahead, _, turn = np.moveaxis(problem.motions, -1, 0)
-    lever = 0.5 * problem.robot.axle * turn
-    return np.stack((ahead - lever, ahead + lever), axis=-1)
-
-
-def run_of(problem, poses, sensor):
-    """The run of a problem of one robot, with a filter that was right about poses and walls."""
-    steps = problem.steps
-    beams = len(problem.robot.beams)
-    ranges = np.tile(problem.robot.max_ranges, (steps, 1, 1))
-    readings = problem.readings
-    ranges[readings.places, 0, readings.beams] = readings.distances
-    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(wheels_of(problem), 1, 0)))
-    labels = true_labels(problem, poses)
-    sources = np.column_stack((readings.places, readings.beams))
-    members = [sources[labels == wall] for wall in range(labels.max() + 1)]
+def associated(run, sensor=None):
+    """A run of one robot, with a filter that was right about the walls, too."""
+    problem = make_problem(run)
+    labels = true_labels(problem, np.moveaxis(run.poses, 1, 0))
+    sources = np.column_stack((problem.readings.places, problem.readings.beams))
     records = [
-        AssociationRecord(wall, is_new=True, readings=each) for wall, each in enumerate(members)
+        AssociationRecord(wall, is_new=True, readings=sources[labels == wall])
+        for wall in range(labels.max() + 1)
     ]
-    return FilteredRun(
-        problem.robot,
-        NominalNoise(0.02, WHEEL_VARIANCE),
-        wheels,
-        ranges,
-        np.ones((steps, 1, beams), dtype=bool),
-        np.moveaxis(poses, 0, 1),
-        np.zeros((steps, 1, 3, 3)),
-        records,
-        [],
-        sensor=sensor,
-    )
+    noise = NominalNoise(0.02, WHEEL_VARIANCE)
+    return replace(run, noise=noise, associations=records, sensor=sensor)
 
 
 def test_the_sensor_that_the_filter_found_is_taken_over():
@@ -228,10 +208,10 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
         len(problem.readings)
     )
     wide = widened(problem, poses, FOUND.cone).readings
-    measured = replace(
-        problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough)
-    )
-    found = settle(run_of(measured, poses, FOUND), CONFIG)
+    run = associated(noisy_filtered(6, 0.0), FOUND)
+    ranges = run.ranges.copy()
+    ranges[wide.places, 0, wide.beams] = wide.distances + FOUND.bias + rough
+    found = settle(replace(run, ranges=ranges), CONFIG)
     assert found.problem.sensor == FOUND
     assert found.state.calibration[0, 3] == pytest.approx(0.0, abs=0.01)
     assert position_error(found.state, poses) < 0.02
@@ -240,8 +220,8 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
 @pytest.mark.parametrize(("bias", "scale"), [(0.09, 0.0), (0.02, 0.024)])
 def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
     """A scale of 3 %, of which the filter has found its share of four fifths."""
-    problem, poses = noisy_run(6, places=[*ROUND, *ROUND])
-    run = run_of(problem, poses, None)
+    run = associated(noisy_filtered(6, places=[*ROUND, *ROUND]))
+    poses = np.moveaxis(run.poses, 1, 0)
     sensor = RangeSensor(0.02, bias=bias, scale=scale, scale_std=scale)
     longer = np.minimum(bias + run.ranges * (1.0 + 1.25 * scale), ROBOT.max_ranges)
     seen = longer < ROBOT.too_far
@@ -263,8 +243,7 @@ def test_a_map_of_corrected_readings_is_not_contradicted(bias, scale):
 
 
 def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
-    problem, poses = noisy_run(6, 0.02)
-    run = run_of(problem, poses, None)
+    run = associated(noisy_filtered(6))
     tick = 0.01
     totals = np.cumsum(run.wheels, axis=0) + np.random.default_rng(6).uniform(0.0, tick, 2)
     wheels = np.diff(np.floor(totals / tick) * tick, axis=0, prepend=np.zeros((1, 1, 2)))
@@ -281,25 +260,24 @@ def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
 
 
 def test_two_runs_with_known_turns_are_smoothed_as_one():
-    problem, poses = noisy_run(6, 0.02)
-    run = run_of(problem, poses, RangeSensor(0.02, turns=(0.01,) * 6))
+    run = associated(noisy_filtered(6), RangeSensor(0.02, turns=(0.01,) * 6))
     smoothed = smooth_with_unknown_start(beside(run, run, np.zeros(3)), CONFIG)
-    assert smoothed.robot.beam_angles == pytest.approx(problem.robot.beam_angles + 0.01)
+    assert smoothed.robot.beam_angles == pytest.approx(ROBOT.beam_angles + 0.01)
 
 
 def test_constant_errors_are_estimated_only_where_they_are_significant():
-    problem, poses = noisy_run(4, places=[*ROUND, *ROUND])
-    assert smooth_run(run_of(problem, poses, None), CONFIG).calibration is None
-    uneven, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
-    found = smooth_run(run_of(uneven, poses, None), CONFIG)
+    even = associated(noisy_filtered(4, places=[*ROUND, *ROUND]))
+    assert smooth_run(even, CONFIG).calibration is None
+    uneven = associated(noisy_filtered(4, mismatch=0.02, places=[*ROUND, *ROUND]))
+    found = smooth_run(uneven, CONFIG)
     assert found.calibration[0, :2] == pytest.approx([-0.02, 0.02], abs=0.006)
-    assert smooth_run(run_of(uneven, poses, None), SmootherConfig("never")).calibration is None
+    assert smooth_run(uneven, SmootherConfig("never")).calibration is None
 
 
 def test_rough_sensors_have_relative_errors_only():
     """What a wide beam reads looks like a common error of all sizes with a bias."""
-    problem, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
-    found = settle(run_of(problem, poses, RangeSensor(0.02, growth=1e-3)), CONFIG)
+    run = noisy_filtered(4, mismatch=0.02, places=[*ROUND, *ROUND])
+    found = settle(associated(run, RangeSensor(0.02, growth=1e-3)), CONFIG)
     assert found.problem.prior is RELATIVE_PRIOR
     assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0, 0.0], abs=0.01)
 

@@ -1,4 +1,4 @@
-"""Parts of the published estimator: buffers of points, association, and loop closing."""
+"""The published estimator: buffers of points, association, and loop closing."""
 
 import math
 from dataclasses import replace
@@ -17,11 +17,11 @@ from limslam_agent.config.published import (
     LoopClosingConfig,
     PublishedConfig,
 )
-from limslam_agent.slam.core.diagnostics import CandidateTest
-from limslam_agent.slam.core.ekf import LineEKF
-from limslam_agent.slam.published import association
-from limslam_agent.slam.published.association import ObservedLine, associate
-from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
+from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_agent.slam.core.motion import Motion
+from limslam_agent.slam.published import Landmarks, Match, ObservedLine, PaperAssociation
+from limslam_agent.slam.published.features import Scan, ScanBuffer
+from limslam_agent.slam.published.filter import LineFilter
 from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import BoolArray, FloatArray, se2, segment
 from limslam_env.geometry import line as line_geometry
@@ -29,13 +29,18 @@ from limslam_env.interface import beams_on_rim
 
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, right are 4 and 5
 ALL = np.ones(6, dtype=bool)
-NOTHING = np.zeros(6, dtype=bool)
 RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
-STRAIGHT = np.array([0.02, 0.0, 0.0])
 
 
-def only(*beams: int) -> BoolArray:
-    return np.isin(np.arange(6), beams)
+def moved(buffer: ScanBuffer, increment: FloatArray) -> None:
+    buffer.move(Motion(increment, np.zeros((3, 3))))
+
+
+def added(buffer: ScanBuffer, step: int, hits: BoolArray = ALL) -> list[Scan]:
+    """The scans that a buffer hands on when it is told of a step in which all beams measured."""
+    front = FrontEnd(ROBOT, NominalNoise())
+    front.ranges, front.measured, front.hits, front.step = RANGES, ALL, hits, step
+    return buffer.add(front)
 
 
 def ends_in_world(pose: FloatArray, beams: list[int]) -> FloatArray:
@@ -61,44 +66,45 @@ def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(
 ) -> None:
     pose = np.array([1.0, -2.0, 2.5])
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=100.0))
-    buffer.add(RANGES, ALL, ALL, 0)
-    start = pose
-    seen = ends_in_world(pose, [0, 1])
+    added(buffer, 0)
+    ends = ends_in_world(pose, [0, 1])
+    origins = se2.transform_points(pose, ROBOT.beam_origins[:2])
     for motion in motions:
         pose = se2.compose(pose, motion)
-        buffer.move(motion)
-    np.testing.assert_allclose(se2.transform_points(pose, buffer.scan.points), seen, atol=1e-9)
-    begun = se2.transform_points(start, ROBOT.beam_origins[:2])
-    np.testing.assert_allclose(se2.transform_points(pose, buffer.scan.origins), begun, atol=1e-9)
+        moved(buffer, motion)
+    np.testing.assert_allclose(se2.transform_points(pose, buffer.scan.points), ends, atol=1e-9)
+    np.testing.assert_allclose(se2.transform_points(pose, buffer.scan.origins), origins, atol=1e-9)
+
+
+STRAIGHT = np.array([0.02, 0.0, 0.0])
 
 
 def test_a_buffer_is_handed_on_when_it_reaches_its_size_and_begins_anew() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=6))
     handed_on: list[list[Scan]] = []
     for step in range(6):
-        buffer.move(STRAIGHT)
-        handed_on.append(buffer.add(RANGES, ALL, ALL, step))
-    assert [[len(scan) for scan in scans] for scans in handed_on] == [[], [], [6], [], [], [6]]
-    assert len(buffer.scan) == 0
+        moved(buffer, STRAIGHT)
+        handed_on.append(added(buffer, step))
+    sizes = [[len(scan.points) for scan in scans] for scans in handed_on]
+    assert sizes == [[], [], [6], [], [], [6]]
+    assert len(buffer.scan.points) == 0
     # The second scan holds nothing of the first.
     assert handed_on[5][0].readings[:, 0].tolist() == [3, 3, 4, 4, 5, 5]
 
 
 def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    given_up = []
+    added(buffer, 0, np.arange(6) == 0)
+    handed_on = []
     for step in range(1, 20):
-        buffer.move(STRAIGHT)
-        given_up.append(buffer.add(RANGES, ALL, NOTHING, step))
-    # 12 steps are 0.24 m, 13 are 0.26 m.
-    assert [index for index, scans in enumerate(given_up) if scans] == [12]
-    (scan,) = given_up[12]
-    np.testing.assert_allclose(scan.points, [[-0.26, 0.5]], atol=1e-12)
-    assert len(buffer.scan) == 0
+        moved(buffer, STRAIGHT)
+        handed_on.append(added(buffer, step, ~ALL))
+    assert [index for index, scans in enumerate(handed_on) if scans] == [12]
+    np.testing.assert_allclose(handed_on[12][0].points, [[-0.26, 0.5]], atol=1e-12)
+    assert len(buffer.scan.points) == 0
 
 
-# Given here, not left to the defaults: the scenes are drawn around these gaps.
+# Written here, not left to the defaults: the scenes are drawn around these gaps.
 CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
 MAX_RANGE = 1.6
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
@@ -107,9 +113,7 @@ MAX_RANGE = 1.6
 PLACES = [(2.0, -1.0, 2.5), (0.0, 0.499, 3.1)]
 
 
-def sure(
-    _line: FloatArray, _covariance: FloatArray, _landmark: int
-) -> tuple[FloatArray, FloatArray]:
+def sure(_observed: ObservedLine, _landmark: int) -> tuple[FloatArray, FloatArray]:
     """An innovation that lets every pair through: only the exclusions decide."""
     return np.zeros(2), np.eye(2)
 
@@ -124,15 +128,14 @@ def observed(
     line = line_geometry.through(np.array(start), np.array(end))
     toward = np.array([math.cos(line[1]), math.sin(line[1])])
     origins = np.array(beam_origins) if beam_origins else points - 0.4 * toward
-    if len(origins) != len(points):
-        origins = np.resize(origins, points.shape)
-    return ObservedLine(line, 1e-4 * np.eye(2), points[[0, -1]], origins, points)
+    scan = Scan(points, np.resize(origins, points.shape))
+    return ObservedLine(line, 1e-4 * np.eye(2), points[[0, -1]], scan)
 
 
 def landmarks(
     pose: FloatArray, *walls: tuple[float, float, float, float], opposite: bool = False
-) -> tuple[FloatArray, FloatArray]:
-    """Lines (N, 2) and segments (N, 4) in the world of walls given in the robot's frame."""
+) -> Landmarks:
+    """Walls, which are written in the robot's frame, in the world."""
     segments = np.array(
         [se2.transform_points(pose, np.reshape(wall, (2, 2))).ravel() for wall in walls]
     )
@@ -140,7 +143,7 @@ def landmarks(
     if opposite:
         lines = np.column_stack((-lines[:, 0], lines[:, 1] + math.pi))
         segments = segments[:, [2, 3, 0, 1]]
-    return lines, segments
+    return Landmarks(lines, segments)
 
 
 WALL_AHEAD = observed((0.0, 0.5), (0.6, 0.5))
@@ -161,64 +164,25 @@ SCENES = {
     "out of range": (observed((-2.2, 0.5), (-1.8, 0.5)), (-3.5, 0.5, -2.4, 0.5), "range"),
     "turned by 30 degrees": (WALL_AHEAD, (0.05, 0.35, 0.55, 0.64), "direction"),
     "parallel, 0.5 m farther": (WALL_AHEAD, (0.0, 1.0, 0.6, 1.0), "direction"),
+    "beside": (WALL_AHEAD, (0.0, 0.5, 0.6, 0.5), ""),
+    "its continuation": (WALL_AHEAD, (0.8, 0.5, 1.5, 0.5), ""),
+    "part of it": (WALL_AHEAD, (-1.0, 0.5, 1.5, 0.5), ""),
+    "askew": (observed((0.4, 0.9), (1.0, 0.3)), (0.5, 0.8, 0.9, 0.4), ""),
 }
-TESTS = association.passed_tests
-EXCLUSIONS = ("ends", "hidden", "range", "direction")
-
-
-def possible(tests: list[CandidateTest]) -> list[int]:
-    """The landmarks that are not excluded, nearest first."""
-    return [
-        test.landmark for test in sorted(tests, key=lambda test: test.distance) if not test.excluded
-    ]
-
-
-def matched(
-    observation: ObservedLine, pose: FloatArray, lines: FloatArray, segments: FloatArray
-) -> list[int]:
-    return possible(associate(observation, pose, lines, segments, sure, MAX_RANGE, CONFIG))
 
 
 @pytest.mark.parametrize("opposite", [False, True], ids=["", "landmark in its other form"])
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("scene", SCENES)
-def test_one_exclusion_alone_keeps_the_pair_apart(
-    scene: str, place: tuple[float, float, float], opposite: bool, monkeypatch: pytest.MonkeyPatch
+def test_an_exclusion_keeps_a_pair_apart_and_a_wall_seen_again_passes_all(
+    scene: str, place: tuple[float, float, float], opposite: bool
 ) -> None:
     observation, wall, exclusion = SCENES[scene]
     pose = np.array(place)
-    lines, segments = landmarks(pose, wall, opposite=opposite)
-    assert matched(observation, pose, lines, segments) == []
-    # Without any of the other three the pair is still ruled out, and without this one it goes
-    # through.
-    for other in EXCLUSIONS:
-        with monkeypatch.context() as patch:
-            patch.setattr(
-                association,
-                "passed_tests",
-                lambda *of, off=other: TESTS(*of) | {off: np.array([True])},
-            )
-            assert len(matched(observation, pose, lines, segments)) == (other == exclusion)
-
-
-SEEN_AGAIN = {
-    "beside": (WALL_AHEAD, (0.0, 0.5, 0.6, 0.5)),
-    "its continuation": (WALL_AHEAD, (0.8, 0.5, 1.5, 0.5)),
-    "part of it": (WALL_AHEAD, (-1.0, 0.5, 1.5, 0.5)),
-    "askew": (observed((0.4, 0.9), (1.0, 0.3)), (0.5, 0.8, 0.9, 0.4)),
-}
-
-
-@pytest.mark.parametrize("opposite", [False, True], ids=["", "landmark in its other form"])
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("scene", SEEN_AGAIN)
-def test_a_wall_seen_again_passes_all_four(
-    scene: str, place: tuple[float, float, float], opposite: bool
-) -> None:
-    observation, wall = SEEN_AGAIN[scene]
-    pose = np.array(place)
-    lines, segments = landmarks(pose, wall, opposite=opposite)
-    assert matched(observation, pose, lines, segments) == [0]
+    known = landmarks(pose, wall, opposite=opposite)
+    match = PaperAssociation(CONFIG, MAX_RANGE)(observation, pose, known, sure)
+    assert match.landmarks == (() if exclusion else (0,))
+    assert [test.excluded for test in match.tests] == [exclusion]
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -227,30 +191,30 @@ def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(
 ) -> None:
     pose = np.array(place)
     walls = [(0.0, 0.5 + offset, 0.6, 0.5 + offset) for offset in (0.11, 0.02, -0.08, -0.3)]
-    lines, segments = landmarks(pose, *walls)
-    ekf = LineEKF(pose, 1e-12 * np.eye(3))
-    for line in lines:
-        ekf.augment(line_geometry.to_frame(line, pose), 1e-12 * np.eye(2))
+    known = landmarks(pose, *walls)
+    ekf = LineFilter(pose)
+    ekf.P = 1e-12 * np.eye(3)
+    for line in known.lines:
+        exact = WALL_AHEAD._replace(
+            line=line_geometry.to_frame(line, pose), covariance=1e-12 * np.eye(2)
+        )
+        ekf.augment(exact)
     # The observation's sd is 2 cm: 0.11 m off is 30 in squared distance, 0.3 m is 225 and past the
     # gate of 100.
-    observation = replace(WALL_AHEAD, covariance=np.diag([4e-4, 1e-3]))
-    found = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, CONFIG)
-    assert possible(found) == [1, 2, 0]
-    assert [test.distance for test in found] == pytest.approx([30.25, 1.0, 16.0, 225.0], rel=1e-3)
-    gated = associate(
-        observation, pose, lines, segments, ekf.innovation, MAX_RANGE, replace(CONFIG, gate=10.0)
+    observation = WALL_AHEAD._replace(covariance=np.diag([4e-4, 1e-3]))
+    match = PaperAssociation(CONFIG, MAX_RANGE)(observation, pose, known, ekf.innovation)
+    assert match.landmarks == (1, 2, 0)
+    assert [test.distance for test in match.tests] == pytest.approx(
+        [30.25, 1.0, 16.0, 225.0], rel=1e-3
     )
-    assert possible(gated) == [1]
-
-
-def wall(y: float, x1: float, x2: float) -> np.ndarray:
-    return np.array([x1, y, x2, y])
+    narrow = PaperAssociation(replace(CONFIG, gate=10.0), MAX_RANGE)
+    assert narrow(observation, pose, known, ekf.innovation).landmarks == (1,)
 
 
 FOUR_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))
 
 
-def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
+def test_the_ablations_are_one_switch_each() -> None:
     base = preset("paper")
     assert not ablated(base, "no-loop-closing").estimator.closing.enabled
     assert not ablated(base, "no-ekf").estimator.filter.correct
@@ -322,3 +286,21 @@ def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
         assert closure.offset_after <= closure.offset_before + 0.005
     assert errors[0] < 0.30
     assert errors[0] < errors[1] + 0.05
+
+
+def test_another_association_takes_the_place_of_the_papers():
+    def all_new(observed, pose, landmarks, innovation):
+        assert len(observed.scan.points) >= 2
+        assert pose.shape == (3,)
+        for index in range(len(landmarks.lines)):
+            assert [part.shape for part in innovation(observed, index)] == [(2,), (2, 2)]
+        return Match(())
+
+    poses, walls = walled_loop()
+    slam = LineSlam(FOUR_BEAMS, preset("paper"), poses[0], associate=all_new)
+    for observation in sensed(poses[:300], walls, 0.0):
+        slam.step(observation)
+    assert len(slam.associations) > 4
+    assert all(record.is_new for record in slam.associations)
+    with pytest.raises(ValueError, match="only the published method"):
+        LineSlam(FOUR_BEAMS, preset("graph"), associate=all_new)
