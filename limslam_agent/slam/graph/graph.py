@@ -195,20 +195,15 @@ class Graph:
 
     def covariances(self, factors: Factors) -> FloatArray:
         """Covariances (f, d, d) of what factors measure, by their derivatives."""
-        return self.covariances_by(self.nodes.columns_of(factors.keys), factors.jacobian)
-
-    def covariances_by(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        """Covariances (f, d, d) of quantities with the derivatives (f, d, q) by unknowns with the
-        columns (f, q).
-        """
+        columns = self.nodes.columns_of(factors.keys)
         solver = self.factorise()
-        count, height, _ = jacobian.shape
+        count, height, _ = factors.jacobian.shape
         covariances = np.empty((count, height, height))
         # A few at a time, since each needs dense columns of all unknowns.
         for begin in range(0, count, _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
             rows = columns[part, :, None]
-            by = jacobian[part]
+            by = factors.jacobian[part]
             places = np.arange(len(by) * height).reshape(-1, 1, height)
             right = np.zeros((self.nodes.size, places.size))
             right[rows, places] = by.transpose(0, 2, 1)

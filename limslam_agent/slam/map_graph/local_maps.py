@@ -32,11 +32,6 @@ class LocalMap:
     grid: Cells  # cells (n, n), first index along x. The origin of the frame is in the middle.
     cell: float  # side of a cell, m
 
-    @property
-    def low(self) -> float:
-        """The grid's lowest x and y, m."""
-        return -0.5 * self.cell * len(self.grid)
-
 
 def chunk_middles(keys: KeyPoses, hop: float) -> IntArray:
     """Key poses (c,) in the middle of the chunks, ``hop`` m of driving apart."""

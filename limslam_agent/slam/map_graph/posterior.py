@@ -16,11 +16,7 @@ from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.smoothing import bundle_graph
 from limslam_env.geometry import FloatArray
 
-# Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies
-# between two windows, and between two poses that are judged, unless there would be more than so
-# many.
-_WINDOW = 14.0
-_MOST = 60
+_MOST = 60  # windows over which odometry is judged, and poses of a path that are judged
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
@@ -41,7 +37,8 @@ def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relat
         ratios = odometry_ratios(keys, trajectory, graph)
         keys = replace(keys, step_variances=keys.step_variances * ratios)
         graph = bundle_graph(keys, trajectory, relations)
-    numbers = np.unique(np.searchsorted(keys.key_driven, _evenly(keys.key_driven[-1])))
+    evenly = _evenly(keys.key_driven[-1], keys.config.maps.length)
+    numbers = np.unique(np.searchsorted(keys.key_driven, evenly))
     columns = graph.nodes.columns("poses")[numbers, :2].ravel()
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
@@ -75,13 +72,15 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
     """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
 
     One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the
-    errors of odometry over some metres, and their posterior variances in the graph of the path.
+    errors of odometry over two chunks, since they last for seconds, and their posterior variances
+    in the graph of the path.
     """
     factors = odometry(keys, trajectory)
     errors = factors.errors
     driven = keys.key_driven
-    begins = np.searchsorted(driven, _evenly(driven[-1] - _WINDOW))
-    ends = np.minimum(np.searchsorted(driven, driven[begins] + _WINDOW), len(errors))
+    half = keys.config.maps.length
+    begins = np.searchsorted(driven, _evenly(driven[-1] - 2.0 * half, half))
+    ends = np.minimum(np.searchsorted(driven, driven[begins] + 2.0 * half), len(errors))
     begins = np.minimum(begins, ends - 1)
     columns = graph.nodes.columns_of(factors.keys)
     sums = np.zeros((len(begins), 3, graph.nodes.size))
@@ -97,6 +96,8 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
     return np.asarray(((squares + posterior) / assumed).mean(axis=0))
 
 
-def _evenly(length: float) -> FloatArray:
-    """Distances along a path from its begin on, m."""
-    return np.arange(0.0, max(length, 1e-9), max(0.5 * _WINDOW, length / _MOST))
+def _evenly(length: float, apart: float) -> FloatArray:
+    """Distances along a path from its begin on, m, which are so far apart unless that are too
+    many.
+    """
+    return np.arange(0.0, max(length, 1e-9), max(apart, length / _MOST))

@@ -33,9 +33,7 @@ from limslam_agent.slam.map_graph.matching import (
 )
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-# m of driving that are compared: those before an event with those after it
-_BEFORE = 3.5
-_AFTER = 2.0
+_AFTER = 2.0  # m of driving after an event, which are compared with half a chunk before it
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 LEAST_LENGTH = 0.15
@@ -67,17 +65,14 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     begins, ends = views.travel[stretches.T]
     leads = np.array([lead for lead, _ in judged])
     turned = np.zeros(len(judged), dtype=np.bool_)
+    reach = config.maps.half + _AFTER
     while leads.max(initial=0.0) > 0.0:
         best = leads.argmax()
         leads[best] = NO_MATCH
         turned[best] = True
         _turn_round(views, *stretches[best])
         # The stretches whose comparison uses this stretch are judged again.
-        near = (
-            (begins <= ends[best] + _BEFORE + _AFTER)
-            & (ends >= begins[best] - _BEFORE - _AFTER)
-            & ~turned
-        )
+        near = (begins <= ends[best] + reach) & (ends >= begins[best] - reach) & ~turned
         leads[near] = [_judged(views, *each)[0] for each in stretches[near].tolist()]
     return (
         replace(data, odometry=integrate(data.odometry[0], views.moves)) if turned.any() else data
@@ -130,7 +125,7 @@ class _LocalViews:
         """What was seen in the last metres before an event, in the frame of its pose. None if that
         is too little.
         """
-        first = int(np.searchsorted(self.travel, self.travel[event] - _BEFORE))
+        first = int(np.searchsorted(self.travel, self.travel[event] - self._maps.half))
         poses = integrate(np.zeros(3), self.moves[first:event])
         places, origins = self._seen(np.arange(first, event + 1), se2.between(poses[-1], poses))
         if len(places) < LEAST_POINTS:

@@ -90,32 +90,6 @@ def test_a_log_whose_times_do_not_tell_its_events_apart_keeps_its_odometry():
     np.testing.assert_array_equal(delayed(log, 0.0).odometry, log.odometry)
 
 
-def with_odometry_rows(log, earlier=0.0):
-    """The log with a row of odometry alone before each event, at its pose."""
-    rows = np.repeat(np.arange(len(log.time)), 2)
-    time = log.time[rows]
-    time[::2] -= earlier
-    hit = log.hit[rows]
-    hit[::2] = False
-    return replace(log, time=time, odometry=log.odometry[rows], ranges=log.ranges[rows], hit=hit)
-
-
-@pytest.mark.parametrize("earlier", [0.0, 0.004])
-def test_points_are_the_same_whichever_row_has_the_motion(earlier):
-    log = wandering()
-    plain = keys_of(log)
-    split = keys_of(with_odometry_rows(log, earlier))
-    assert len(plain.point_event) > 400
-    np.testing.assert_array_equal(plain.point_event, split.point_event // 2)
-    np.testing.assert_array_equal(plain.point_key, split.point_key)
-    np.testing.assert_allclose(plain.steps.reported, split.steps.reported, atol=1e-12)
-    np.testing.assert_allclose(plain.travel, split.travel[1::2], atol=1e-12)
-    np.testing.assert_allclose(plain.share, split.share[1::2], atol=1e-9)
-    delays = [delayed(each, 0.15).odometry for each in (log, with_odometry_rows(log, earlier))]
-    np.testing.assert_allclose(delays[0][5:-5], delays[1][1::2][5:-5], atol=0.01)
-    assert np.abs(delays[0] - log.odometry).max() > 0.01
-
-
 def test_each_beam_gives_a_point_after_its_own_way():
     log = wandering()
     turns = np.arange(len(log.time))[:, None] % log.hit.shape[1] == np.arange(log.hit.shape[1])
@@ -341,7 +315,8 @@ def score_at(chunk, points, pose):
     """The mean of the cells at points, as shares of a hit; cells outside of the grid are
     unknown.
     """
-    cells = np.floor((se2.transform_points(pose, points) - chunk.low) / chunk.cell).astype(int)
+    places = se2.transform_points(pose, points)
+    cells = np.floor(places / chunk.cell).astype(int) + len(chunk.grid) // 2
     inside = ((cells >= 0) & (cells < len(chunk.grid))).all(axis=1)
     return chunk.grid[tuple(cells[inside].T)].sum() / HIT / len(points)
 
@@ -511,22 +486,6 @@ def test_wrong_loops_lose_their_weight(truth):
 
 def blank_map(number):
     return LocalMap(2.5 * number, np.zeros((0, 2)), np.zeros((2, 2), np.int8), 0.1)
-
-
-def test_covariance_of_a_chain_is_that_of_compounded_motions():
-    truth = ring(laps=1)[:4]
-    hops = drifting(truth, bias=0.0)
-    poses, _ = solve_annealed(truth[0], hops, [])
-    graph = ChunkGraph(blank_map(0), poses[0], MAPS)
-    for row in range(3):
-        graph.add(blank_map(row + 1), hops.motions[row : row + 1], hops.covariances[row])
-    covariance = np.zeros((3, 3))
-    for row in range(3):
-        by_pose, by_motion = se2.compose_jacobians(poses[row], hops.motions[row])
-        covariance = (
-            by_pose @ covariance @ by_pose.T + by_motion @ hops.covariances[row] @ by_motion.T
-        )
-    assert np.allclose(graph.last_covariance, covariance, atol=1e-6)
 
 
 def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
