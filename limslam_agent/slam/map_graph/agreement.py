@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.slam.map_graph.chunk_graph import Loop
-from limslam_agent.slam.map_graph.key_poses import APART, KEY_DISTANCE, KeyPoses, Trajectory
+from limslam_agent.slam.map_graph.key_poses import APART, KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.slam.map_graph.matching import search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -21,6 +21,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 _DISTANCE = 0.6
 _TURN = math.radians(9.0)
 _SUPPORT_HOPS = 3  # chunks, at most, between the ends of loops that support each other
+_SLACK = 0.3  # m, by which a hop is longer or shorter, since chunks begin with key poses
 _STRETCH = 2  # chunks before and after a chunk
 
 
@@ -53,9 +54,8 @@ def supported(
     after = se2.between(poses[second][:, None], poses[second][None])
     predicted = se2.compose(se2.compose(before, relative[:, None]), after)
     gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
-    # Chunks begin with key poses.
-    most = _SUPPORT_HOPS * hop + 2.0 * KEY_DISTANCE
-    near = (gaps[0] <= most) & (gaps[1] >= hop - 2.0 * KEY_DISTANCE) & (gaps[1] <= most)
+    most = _SUPPORT_HOPS * hop + _SLACK
+    near = (gaps[0] <= most) & (gaps[1] >= hop - _SLACK) & (gaps[1] <= most)
     return np.asarray((near & agree(predicted, relative[None])).any(axis=0))
 
 
