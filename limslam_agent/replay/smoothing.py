@@ -43,7 +43,7 @@ _DRAWN_LINES = WallLineConfig(
 )
 
 
-_MORE_ROUNDS = 2  # of a doubtful path; felt by "csail 4 beams" and "made-up logs"
+_MORE_ROUNDS = 4  # of a doubtful path; felt by "csail 4 beams", "fr079 6 beams" and "made-up logs"
 
 
 def smoothed_by_graph(

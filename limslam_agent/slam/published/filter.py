@@ -118,7 +118,12 @@ class LineFilter(ExtendedKalmanFilter):
     def _correct(self, line: FloatArray, R: FloatArray, z: FloatArray, H: FloatArray) -> None:
         """Correct the state by a line that is expected at z (2,)."""
         y, turned = difference(line, z)
-        self.update(z + y, lambda _: H, lambda _: z, turned @ R @ turned)
+        R = turned @ R @ turned
+        # Metres and radians in standard deviations: far from the origin, r is known much worse.
+        units = 1.0 / np.sqrt(np.diag(H @ self.P @ H.T + R))
+        z = units * z
+        H = units[:, None] * H
+        self.update(z + units * y, lambda _: H, lambda _: z, units[:, None] * R * units)
         # Lines that have crossed the origin get r >= 0, in P too, and all angles are wrapped.
         rows = self._poses + 2 * np.flatnonzero(self.x[self._poses :: 2] < 0.0)
         self.x[rows] *= -1.0
