@@ -86,7 +86,6 @@ def observed_lines(scan: Scan, config: PublishedConfig, std: float) -> list[Obse
     found = []
     for fit, members in extract_lines(scan.points, config.hough, std):
         own = Scan._make(column[members] for column in scan)
-        drift = config.filter.drift_share * own.drift.mean()
-        covariance = fit.covariance + np.diag([0.0, drift])
+        covariance = fit.covariance + np.diag([0.0, config.filter.drift_share * own.drift.mean()])
         found.append(ObservedLine(fit.line, covariance, fit.ends, own))
     return found

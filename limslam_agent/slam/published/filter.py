@@ -17,8 +17,6 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import from_frame, from_frame_jacobians, to_frame, to_frame_jacobians
 from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
 
-Difference = tuple[FloatArray, FloatArray]  # of two lines (2,), m and rad; its covariance (2, 2)
-
 
 class LineFilter(ExtendedKalmanFilter):
     """The state x = [x, y, theta, r_1, theta_1, ..., r_N, theta_N] (eq. 1), P (eq. 2).
@@ -70,7 +68,9 @@ class LineFilter(ExtendedKalmanFilter):
         pose, increment = u
         self.x[pose] = compose(self.x[pose], increment)
 
-    def innovation(self, seen: ObservedLine, index: int, robot: int = 0) -> Difference:
+    def innovation(
+        self, seen: ObservedLine, index: int, robot: int = 0
+    ) -> tuple[FloatArray, FloatArray]:
         """Difference of an observed line and a landmark, and its covariance Psi of eq. 4."""
         predicted, H = self._expected(index, robot)
         y, turned = difference(seen.line, predicted)
@@ -91,7 +91,7 @@ class LineFilter(ExtendedKalmanFilter):
         self._begin(np.concatenate((self.x, from_frame(seen.line, pose))), 0.5 * (P + P.T))
         return len(self.lines) - 1
 
-    def difference(self, older: int, younger: int) -> Difference:
+    def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
         """Difference of two landmarks, and its covariance."""
         rows = np.r_[self._line(older), self._line(younger)]
         y, turned = difference(*self.x[rows].reshape(2, 2))

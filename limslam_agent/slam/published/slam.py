@@ -72,9 +72,8 @@ class PublishedSlam(Estimator):
             match = self._associate(  # 2.4, eq. 4
                 seen, pose, known, lambda seen, index: self.filter.innovation(seen, index, robot)
             )
-            readings = seen.scan.readings
             ends = transform_points(pose, seen.ends)
-            self._note_comparison(robot, ends, readings, match.tests)
+            self._note_comparison(robot, ends, seen.scan.readings, match.tests)
             if self._closes_loop(match.landmarks):  # 2.5: the observation is discarded
                 continue
             if match.landmarks:  # 2.4: a correction of pose and landmarks by the nearest one
@@ -87,7 +86,7 @@ class PublishedSlam(Estimator):
                 self._map.add(ends)
             else:
                 continue
-            self.report(AssociationRecord(landmark, not match.landmarks, readings, robot))
+            self.report(AssociationRecord(landmark, not match.landmarks, seen.scan.readings, robot))
 
     def _closes_loop(self, landmarks: tuple[int, ...]) -> bool:
         """Whether the two landmarks nearest to an observation are one wall; then the younger is
