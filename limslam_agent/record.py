@@ -45,16 +45,16 @@ class Drive:
 
     def since(self, first: int) -> list[Scan]:
         """The steps from a number on, as far as they are kept."""
-        return self.scans[max(first - self.begin, 0) :]
+        return self.between(first, self.end)
 
     def between(self, first: int, last: int) -> list[Scan]:
-        """The steps from a number to before another one."""
-        return self.scans[first - self.begin : last - self.begin]
+        """The steps from a number to before another one, as far as they are kept."""
+        return self.scans[max(first - self.begin, 0) : max(last - self.begin, 0)]
 
     def cut(self, first: int) -> list[Scan]:
         """Remove the steps from a number on, which are to be processed again."""
         scans = self.since(first)
-        del self.scans[first - self.begin :]
+        del self.scans[max(first - self.begin, 0) :]
         return scans
 
     def replace(self, first: int, scans: Sequence[Scan]) -> None:

@@ -98,7 +98,7 @@ class Recovery:
             return []
         grid = self.state.search.place.grid
         return [
-            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), grid)
+            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.log_ratio_on_map), grid)
             for fit in self.state.search.latest.open
         ]
 
@@ -309,7 +309,9 @@ class Recovery:
     def _is_refuted(self, placed: Placed) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""
         place = placed.place
-        return place is not None and place.fit_here(self._rays_of(placed)).is_on_map < -DECIDED
+        return (
+            place is not None and place.fit_here(self._rays_of(placed)).log_ratio_on_map < -DECIDED
+        )
 
     def _still_fits(self, own: StatusMonitor) -> bool:
         """Whether all readings of a robot that has drifted still fit, although its monitor says
@@ -380,7 +382,9 @@ class Recovery:
         near = (
             slip_fit(known, rays) if known else drift_fit(lost.search.place, rays, lost.covariance)
         )
-        if near.evidence < LEAD or near.fit.is_on_map < 0.0:  # without rays, the evidence is 0
+        if (
+            near.evidence < LEAD or near.fit.log_ratio_on_map < 0.0
+        ):  # without rays, the evidence is 0
             return None
         middle = rays[:, :2].mean(axis=0)
         if is_far(near.fit.pose, middle):  # along a long wall, other places near by fit as well

@@ -198,7 +198,7 @@ class Renewal:
         """
         sensor = slam.sensor
         rays = rays_of(scans, slam.robot, sensor)
-        return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
+        return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).log_ratio_on_map
 
     def _begin(self) -> None:
         """Begin a new stretch at the present estimate, which the last observation led to."""

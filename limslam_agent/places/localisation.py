@@ -250,7 +250,7 @@ def localise(
     shares = {id(fit): far if is_far(fit.pose, middle) else 1.0 for fit in fits}
     # Where the test of contradictions has said that the drive is not there, chance fits count no
     # more.
-    fits.sort(key=lambda fit: (fit.is_on_map < -DECIDED, -fit.evidence * shares[id(fit)]))
+    fits.sort(key=lambda fit: (fit.log_ratio_on_map < -DECIDED, -fit.evidence * shares[id(fit)]))
     places = _places(fits, middle)
     best = places[0]
     share = shares[id(places[0])]
@@ -265,7 +265,7 @@ def localise(
     alike = [
         fit
         for fit in places[1:]
-        if shares[id(fit)] >= share and fit.is_on_map > best.is_on_map - _ALIKE
+        if shares[id(fit)] >= share and fit.log_ratio_on_map > best.log_ratio_on_map - _ALIKE
     ]
     if alike and not refusal:
         refusal = (
@@ -287,7 +287,7 @@ def _places(fits: Sequence[PlaceFit], middle: FloatArray) -> list[PlaceFit]:
     """The fit of each place, the best ones first, without places that the readings have refuted."""
     places = [fits[0]]
     for fit in fits[1:]:
-        if fit.is_on_map < -DECIDED:
+        if fit.log_ratio_on_map < -DECIDED:
             break
         if all(are_apart(fit.pose, place.pose, middle) for place in places):
             places.append(fit)
@@ -336,7 +336,7 @@ def agree(first: Localisation, second: Localisation, *, may_be_bent: bool = Fals
     """
     if first.fit is None or second.fit is None or not second.is_accepted:
         return False
-    if not (may_be_bent or second.is_near or second.fit.is_on_sound_map >= DECIDED):
+    if not (may_be_bent or second.is_near or second.fit.log_ratio_on_unbent_map >= DECIDED):
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle)
 
@@ -345,7 +345,7 @@ def _refusal(best: PlaceFit, runner_up: float, on_map: float) -> str:
     """Why a place does not count, in words; empty if it counts. The test of contradictions must
     give ``on_map``.
     """
-    if best.is_on_map < on_map:
+    if best.log_ratio_on_map < on_map:
         return f"{best.contradictions} of {best.tested} readings contradict the map there"
     if runner_up > min(best.evidence - LEAD, _LIKENESS * best.evidence):
         return (

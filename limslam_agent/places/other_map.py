@@ -202,7 +202,7 @@ class Meeting:
         frame = found.fit.pose
         second = _MapOfOther(own[1], own[0], self._robot)
         (back,) = second.weigh(inverse(frame)[None], second.rays)
-        if back.is_on_map < -DECIDED:
+        if back.log_ratio_on_map < -DECIDED:
             return None
         self._frame = frame
         self._rays = moved(first.rays[first.is_clear(frame, first.rays)], frame)
@@ -226,7 +226,10 @@ class Meeting:
         if own:
             first = _MapOfOther(own[0], own[1], self._robot)
             drift = own[0].slam.covariance + own[1].slam.covariance
-            if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
+            if (
+                drift_fit(first, moved(first.rays, self._frame), drift).fit.log_ratio_on_map
+                < -DECIDED
+            ):
                 return "the readings contradict the other robot's map"
         driven = self._driven - self._joined_at
         if driven < CONFIRMED or not (is_complete or driven >= FAR_CONFIRMED):

@@ -141,4 +141,6 @@ def _policy_for(
     generator = np.random.default_rng([seed, number])
     if policy == "learned":
         return LearnedPolicy(robot, config.policy, seed=generator)
-    return RandomPolicy(robot, config.policy, seed=generator)
+    if policy == "random":
+        return RandomPolicy(robot, config.policy, seed=generator)
+    raise ValueError(f"nothing makes the policy {policy!r}")

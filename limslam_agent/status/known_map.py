@@ -135,14 +135,14 @@ class PlaceFit:
     tested: int
 
     @property
-    def is_on_map(self) -> float:
+    def log_ratio_on_map(self) -> float:
         """Logarithm of the likelihood ratio of the contradictions: of the right place in a map that
         may be bent, and of ground like it.
         """
         return -contradiction_test(self.contradictions, self.tested, may_be_bent=True)
 
     @property
-    def is_on_sound_map(self) -> float:
+    def log_ratio_on_unbent_map(self) -> float:
         """The same in a map that is not bent."""
         return -contradiction_test(self.contradictions, self.tested)
 

@@ -7,6 +7,8 @@ angles in radians.
 
 import math
 
+from limslam_agent.config.gates import gate
+
 WALL_END = 0.25
 """A wall has ended when the robot has driven so far without a hit on it."""
 
@@ -26,7 +28,7 @@ MAX_END_GAP = 0.35
 MAX_ANGLE = math.radians(20.0)
 MAX_OFFSET = 0.5
 
-FAR_GATE = 25.0
+FAR_GATE = gate(2, 0.9999963)
 """Readings with a chi-square between ``WallAssociationConfig.gate`` and this one create no
 landmark.
 
@@ -54,7 +56,7 @@ MAX_ANGLE_STD = math.radians(3.0)
 """Largest standard deviation of the piece's direction."""
 
 # Two landmarks are one wall, and are merged.
-ONE_WALL_GATE = 16.0
+ONE_WALL_GATE = gate(2, 0.99966)
 """Largest chi-square of the difference of two landmarks, or of the poses of a loop: four standard
 deviations.
 """

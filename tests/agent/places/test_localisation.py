@@ -77,7 +77,7 @@ def test_ground_that_the_map_does_not_have_is_refused(whole):
     )
     found = localise(whole, rays_of(drive([[1.0, 0.8], [1.0, 3.4]], elsewhere), ROBOT))
     assert not found.is_accepted
-    assert found.fit.is_on_map < DECIDED
+    assert found.fit.log_ratio_on_map < DECIDED
 
 
 def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
@@ -123,7 +123,7 @@ def test_two_searches_agree_on_one_place_only(whole):
     assert agree(replace(found, refusal="ambiguous"), found), "it was the best place before"
     # Three robots were placed wrongly with so many contradictions, on ground without a map.
     alike = replace(found, fit=replace(found.fit, contradictions=4, tested=142))
-    assert alike.fit.is_on_map > DECIDED
+    assert alike.fit.log_ratio_on_map > DECIDED
     assert not agree(found, alike)
     assert agree(found, alike, may_be_bent=True)
     assert agree(found, replace(alike, is_near=True)), "a robot that has drifted is likely near"
