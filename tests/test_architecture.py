@@ -122,7 +122,7 @@ AGENT = {
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("dropouts", "config", "grid", "kernels", "record", "slam.core"),
+        *agent("dropouts", "config", "grid", "kernels", "readings", "record", "slam.core"),
     },
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
@@ -134,6 +134,7 @@ AGENT = {
             "slam.core",
             "grid",
             "kernels",
+            "readings",
             "status",
             "record",
             "map_file",

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.readings import TURN_LENGTH
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.status.known_map import DECIDED, DRIFT, MATCH_COVARIANCE, KnownMap, PlaceFit
-from limslam_agent.status.monitor import TURN_LENGTH
 from limslam_agent.status.sudden_changes import WINDOW
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle

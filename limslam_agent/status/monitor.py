@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.tables import LEAST_TURNED, MOST_TURNED, READING, STEADY, TIMES
+from limslam_agent.readings import TURN_LENGTH
 from limslam_agent.record import Drive
 from limslam_agent.slam.core.motion import unknown_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -33,7 +34,6 @@ over the circle.
 # by one radian counts like ``TURN_LENGTH``, m. The readings of a robot
 # that stands are compared when there are ``STEPS`` new ones: no comparison uses more.
 SPACING = 0.10
-TURN_LENGTH = 0.40
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and
 # those of its heading, rad.
 POSITION_GROWTH = 2.0

@@ -78,11 +78,6 @@ def clone_poses(ekf: CloneEKF, clones: IntArray) -> FloatArray:
     return np.asarray(ekf.x[columns_of(ekf, clones)])
 
 
-def clone_covariance(ekf: CloneEKF, clones: IntArray) -> FloatArray:
-    columns = columns_of(ekf, clones).ravel()
-    return np.asarray(ekf.P[np.ix_(columns, columns)])
-
-
 def keep_clones(ekf: CloneEKF, wanted: set[int]) -> None:
     clone_filter.keep_clones(ekf.arrays, np.array(sorted(wanted), dtype=float))
 
