@@ -90,16 +90,19 @@ class RosLink(Connection):
         return self._sensors.robot or self._robot
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait until sensors and odometry have shown the period. Raises a NoRobotError if that
-        takes more than ``patience`` s.
+        """Wait until sensors and odometry have shown the period. Raises a NoRobotError after
+        ``patience`` s without a new measurement: topics are found one after the other, and on a
+        busy computer the first messages come slowly.
         """
-        begin = self.clock()
+        since = self.clock()
         found = list[Measurement]()
         while len(found) < _FIRST or self._sensors.robot is None:
-            if self.clock() - begin > patience:
+            if self.clock() - since > patience:
                 raise NoRobotError(f"within {patience:g} s {self._missing(found)}")
             for event in self._ports.take(POLL):
-                found += self._measurements(event)
+                if measurements := self._measurements(event):
+                    found += measurements
+                    since = self.clock()
         steps = [after.sample.time - before.sample.time for before, after in pairwise(found)]
         period, watchdog = (
             max(1, round(1e3 * each)) for each in (np.median(steps), self._parameters.watchdog)

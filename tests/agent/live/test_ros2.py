@@ -12,7 +12,7 @@ import pytest
 import typer
 from support.command_line import app, limslam
 
-from limslam_agent.live.link import NoRobotError
+from limslam_agent.live.link import POLL, NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
 from limslam_agent.live.ros2.headings import Headings
@@ -325,6 +325,14 @@ def test_messages_become_the_telemetry_of_a_session():
     link.send(Heartbeat(link.next_seq()))
     link.send(Stop(link.next_seq()))
     assert (ports.driven[1:], ports.held) == ([(0.0, 0.0)], 1)
+
+
+def test_measurements_that_come_slowly_are_waited_for():
+    moments = []
+    for row in range(8):
+        moments += [moment(5.0 + 0.1 * row, 0.0), *([[]] * 10)]
+    link, _ = link_of(*moments)
+    assert link.first_hello(15 * POLL).beams == 6
 
 
 def test_a_clock_that_was_set_is_a_robot_that_was_switched_on_again():
