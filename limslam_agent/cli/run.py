@@ -86,10 +86,15 @@ def _written(folder: Path, episode: "Episode", noted: list[int]) -> tuple[dict[s
     return write_episode(folder, episode.interrupted()), code
 
 
+def file_name(world: str) -> str:
+    """The name of a world as any system can have it as the name of a file."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", world).strip(".") or "world"
+
+
 def _folder_name(config: "RunConfig") -> str:
     from limslam_env.worlds.formats.loading import load_world
 
-    world = re.sub(r"[^A-Za-z0-9_.-]+", "_", load_world(config.world).name).strip(".") or "world"
+    world = file_name(load_world(config.world).name)
     return (
         f"{world}-{100 * config.noise:g}cm-{config.preset}-seed{config.seed}"
         + (f"-{config.policy.rpartition(':')[2]}" if config.policy != "frontier" else "")
