@@ -145,7 +145,7 @@ def _load_pygame() -> Any:
         import pygame
     except ImportError as error:
         raise DependencyNotInstalled(
-            "a window needs pygame: pip install 'limslam[play]'"
+            'a window needs pygame: pip install "limslam[play]"'
         ) from error
     return pygame
 
