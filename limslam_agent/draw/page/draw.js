@@ -318,7 +318,7 @@ function check() {
   const [kind, text] = reason ? ['bad', words] : isOpen ? ['warn', 'The outer wall is open, so most of the floor cannot be used.'] : isSmall ? ['warn', 'Most of the floor cannot be reached.'] : ['good', 'A robot can be used here.'];
   byId('verdict').className = `verdict ${kind}`;
   byId('verdict').textContent = text;
-  byId('reach').textContent = area === undefined ? '' : `${area.toFixed(1)} m\u00b2 of ${floor.toFixed(1)} m\u00b2 of floor within reach (shaded).`;
+  byId('reach').textContent = reason === 'open' ? 'Shaded: where the robot could go.' : area === undefined ? '' : `${area.toFixed(1)} m\u00b2 of ${floor.toFixed(1)} m\u00b2 of floor within reach (shaded).`;
   byId('text').textContent = toml(world);
   document.body.dataset.checked = reason || 'ok';
   show();
