@@ -89,10 +89,12 @@ def rewrite_links(text: str, folder: Path) -> str:
             return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
         if path.is_relative_to(FOLDER):
             return f"](/{path.relative_to(FOLDER).as_posix()})"
+        if outside and path.is_file():
+            return f"](/../{outside})"  # such as an example, which becomes a download
         return f"]({OUTSIDE})"
 
     text = re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
-    # Files and folders outside of the site, such as the examples, are named and not linked.
+    # Folders outside of the site are named and not linked.
     return re.sub(rf"\[([^\[\]]*)\]\({OUTSIDE}\)", r"\1", text)
 
 
