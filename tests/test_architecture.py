@@ -248,6 +248,7 @@ BENCHMARKS = {
     "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
     "benchmarks.growth": set(),
+    "benchmarks.peers": {"benchmarks.suite"},
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
@@ -255,6 +256,7 @@ BENCHMARKS = {
         "benchmarks.scoreboard",
         "benchmarks.speed",
         "benchmarks.growth",
+        "benchmarks.peers",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS
