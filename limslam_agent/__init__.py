@@ -12,6 +12,7 @@ therefore also runs on a robot.
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    __version__: str
     from limslam_agent.belief import Belief as Belief
     from limslam_agent.cli.command import command as command
     from limslam_agent.config.presets import AgentConfig as AgentConfig
@@ -75,6 +76,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used."""
     import importlib
 
+    if name == "__version__":  # both packages are one distribution
+        return importlib.import_module("limslam_env").__version__
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(importlib.import_module(f"{__name__}.{_MODULES[name]}"), name)

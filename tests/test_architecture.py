@@ -215,6 +215,7 @@ AGENT = {
         *env("canvas"),
         *agent("grid", "output", "slam.core"),
     },
+    "limslam_agent.draw": agent("inspect", "output", "safe_files"),
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(

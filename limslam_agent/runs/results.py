@@ -23,7 +23,7 @@ from limslam_agent.output.map_picture import MapPicture
 from limslam_agent.output.results import Results, write_results
 from limslam_agent.output.summary import calibration_record, record_of, run_cost, sensor_record
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_agent.runs.policies import TOUR
+from limslam_agent.runs.policies import FROM_OUTSIDE
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
@@ -95,7 +95,7 @@ def score(episode: Episode) -> dict[str, Any]:
     has_limit = config.limit and not episode.is_interrupted
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if has_limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
-    has_explored = episode.claims_explored and not config.laps and config.policy != TOUR
+    has_explored = episode.claims_explored and not config.laps and config.policy not in FROM_OUTSIDE
     true = episode.true[known, placed]
     final = episode.final_map
     walls = map_scores(
