@@ -106,7 +106,7 @@ def train(
         from benchmarks.training.train import TrainConfig
         from benchmarks.training.train import train as learn
     except ModuleNotFoundError as error:
-        raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
+        raise ValueError(f'training needs {error.name}: pip install -e ".[rl]"') from error
     typer.echo(f"weights     {learn(TrainConfig(seed=seed), out)}")
 
 
