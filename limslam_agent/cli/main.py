@@ -12,6 +12,7 @@ import typer
 from limslam_agent.cli.arena import arena
 from limslam_agent.cli.inspect import inspect
 from limslam_agent.cli.live import live
+from limslam_agent.cli.notebooks import notebooks
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import play, run
 from limslam_agent.cli.score import score
@@ -39,6 +40,7 @@ app.command()(inspect)
 app.command()(compare)
 app.command()(score)
 app.command()(export)
+app.command()(notebooks)
 app.command()(warmup)
 app.add_typer(worlds)
 app.add_typer(arena)
