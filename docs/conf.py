@@ -1,5 +1,6 @@
 """Settings of the documentation site: ``sphinx-build -W docs docs/_build``."""
 
+import os
 import re
 import subprocess
 import sys
@@ -91,10 +92,9 @@ def rewrite_links(text: str, folder: Path) -> str:
             return f"]({PAGES_ELSEWHERE[outside]}{'#' * bool(anchor)}{anchor})"
         if path.is_relative_to(FOLDER) and path.suffix == ".md":
             return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
-        if path.is_relative_to(FOLDER):
-            return f"](/{path.relative_to(FOLDER).as_posix()})"
-        if outside and path.is_file():
-            return f"](/../{outside})"  # such as an example, which becomes a download
+        if path.is_relative_to(FOLDER) or (outside and path.is_file()):
+            # A file outside of the site, such as an example, becomes a download.
+            return f"](/{Path(os.path.relpath(path, FOLDER)).as_posix()})"
         return f"]({OUTSIDE})"
 
     text = re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
