@@ -114,6 +114,7 @@ function move(thing, corner, dx, dy) {
 // What has lost its length in a move goes.
 function clean() {
   for (const kind of ['walls', 'doors']) world[kind] = world[kind].filter((row) => !same(row, row.slice(2)));
+  world.obstacles = world.obstacles.map((polygon) => polygon.filter((corner, index) => !same(corner, polygon[(index + 1) % polygon.length]))).filter((polygon) => polygon.length > 2);
   if (selected && !world[selected.kind][selected.index]) selected = null;
 }
 
