@@ -39,6 +39,9 @@ LARGEST_CONE = 0.25 * math.pi
 LARGEST_RANGE = 1000.0
 """Longest range of a beam, m. A larger number is in another unit."""
 
+MOST_BEAMS = 4096
+"""Most beams of a ring or a laser scanner."""
+
 MOST_STEPS = 1_000_000
 """Largest number of steps between two measurements of a beam."""
 
@@ -191,6 +194,18 @@ def beams_on_rim(
     )
 
 
+def degrees_around(count: int) -> tuple[float, ...]:
+    """Directions of ``count`` beams all around a robot, deg: the first ahead, counter-clockwise.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 1 or more than 4096 beams.
+    """
+    check_count("the number of beams all around a robot", count, MOST_BEAMS)
+    return tuple(360.0 * number / count for number in range(count))
+
+
 PAPER_BEAMS_DEG = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
 """The paper's six beams. The front pair fills no buffer and only avoids collisions."""
 
@@ -321,6 +336,27 @@ class RobotSpec:
     def __reduce__(self) -> tuple[type[Self], tuple[Any, ...]]:
         # A copy makes its own arrays: unpickled ones could be written to.
         return type(self), tuple(getattr(self, part.name) for part in fields(self))
+
+    @classmethod
+    def lidar(cls, beams: int = 360, max_range: float = 1.5, **others: Any) -> Self:
+        """A robot with a turning laser scanner: ``beams`` that start at its middle and look all
+        around, the first ahead, counter-clockwise, up to ``max_range``, m.
+
+        ``others`` are further settings of the robot, such as its radius.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than 1 or more than 4096 beams, or a number is out of bounds.
+
+        Examples
+        --------
+        >>> from limslam_env import RobotSpec
+        >>> robot = RobotSpec.lidar(beams=360, max_range=4.0, radius=0.08)
+        >>> len(robot.beams), robot.reach
+        (360, 4.0)
+        """
+        return cls(beams=beams_on_rim(degrees_around(beams), 0.0, max_range=max_range), **others)
 
     def to_json(self) -> str:
         """The robot as JSON, for files."""

@@ -40,7 +40,7 @@ ENV = {
     "limslam_env.toml_text": set(),
     "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
-    "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
+    "limslam_env.worlds": {GEOMETRY, *env("canvas", "messages", "kernels")},
     # A world may be named by the seed of a floor plan.
     "limslam_env.worlds.formats": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -92,6 +92,7 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
+    "limslam_agent.notebooks": set(),
     "limslam_agent.terminal": env("messages"),
     "limslam_agent.command_options": agent("config"),
     "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
@@ -129,7 +130,7 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("dropouts", "config", "grid", "kernels", "readings", "record", "slam.core"),
     },
-    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
+    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
@@ -157,7 +158,7 @@ AGENT = {
     },
     "limslam_agent.mapping": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "grid", "places", "policies", "record", "status"),
+        *agent("belief", "config", "grid", "output", "places", "policies", "record", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
@@ -219,6 +220,7 @@ AGENT = {
         *env("canvas"),
         *agent("grid", "output", "slam.core"),
     },
+    "limslam_agent.draw": agent("inspect", "output", "safe_files"),
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
@@ -253,6 +255,7 @@ BENCHMARKS = {
     "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
     "benchmarks.growth": set(),
+    "benchmarks.peers": {"benchmarks.suite"},
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
@@ -260,6 +263,7 @@ BENCHMARKS = {
         "benchmarks.scoreboard",
         "benchmarks.speed",
         "benchmarks.growth",
+        "benchmarks.peers",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

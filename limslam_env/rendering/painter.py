@@ -35,7 +35,7 @@ class Painter:
 
     def __init__(self, mode: str | None, fps: float) -> None:
         if mode == "human" and find_spec("pygame") is None:
-            raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'")
+            raise DependencyNotInstalled('a window needs pygame: pip install "limslam[play]"')
         if mode is not None and mode not in RENDER_MODES:
             raise ValueError(
                 f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}"
