@@ -140,21 +140,16 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         self._cycles = 0
         self._generator: np.random.Generator | None = None
         parts = observation_space(self.robot, imu=imu)
-        flattened = spaces.flatten_space(parts)
+        flattened: Any = spaces.flatten_space(parts)
         self._is_flat = flat
         self._name(num_robots, lambda: flattened if flat else parts, action_space)
         self.agents: list[str] = []
         self._last = np.zeros((num_robots, *flattened.shape), dtype=np.float32)
         self._coverage = 0.0
         # Place, heading and observation of each robot, and the coverage.
-        low, high = (
-            np.append(np.tile(np.concatenate((pose, seen)), num_robots), share)
-            for pose, seen, share in (
-                ([0.0, 0.0, -1.0, -1.0], flattened.low, 0.0),
-                ([1.0, 1.0, 1.0, 1.0], flattened.high, 1.0),
-            )
-        )
-        self.state_space = spaces.Box(low.astype(np.float32), high.astype(np.float32))
+        low = np.array([*[0.0, 0.0, -1.0, -1.0, *flattened.low] * num_robots, 0.0], np.float32)
+        high = np.array([*[1.0, 1.0, 1.0, 1.0, *flattened.high] * num_robots, 1.0], np.float32)
+        self.state_space = spaces.Box(low, high)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -126,7 +126,7 @@ class Sb3VecEnv(VecEnv):
         return list(self._get_indices(indices))
 
 
-def _row(rows: Any, number: int) -> Any:
+def _row(rows: Any, number: Any) -> Any:
     """What an observation or an info of all environments has for one of them, without the masks of
     infos.
     """

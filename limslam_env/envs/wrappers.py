@@ -144,7 +144,7 @@ class _Scaling:
         check_number("the reach", reach, 1e-3, LARGEST_COORDINATE, "m")
         self._parts = space
         self._reach = reach
-        example = {key: np.zeros(part.shape) for key, part in space.items()}
+        example = {key: np.zeros(part.shape or ()) for key, part in space.items()}
         self.space = spaces.Dict(
             {
                 key: spaces.Box(_LOWEST[key], 1.0, part.shape, np.float32)
