@@ -7,6 +7,7 @@ odometry is follows from the path itself: its variances are estimated by expecta
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relat
     """
     if len(keys) < 2:
         return np.zeros((2, 2))
-    keys = with_learned_noise(keys, trajectory, lambda *path: bundle_graph(*path, relations))
+    keys = with_learned_noise(keys, trajectory, partial(bundle_graph, relations=relations))
     return covariance_in(bundle_graph(keys, trajectory, relations), keys, trajectory)
 
 
