@@ -106,7 +106,7 @@ def train(
         from benchmarks.training.train import TrainConfig
         from benchmarks.training.train import train as learn
     except ModuleNotFoundError as error:
-        raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
+        raise ValueError(f'training needs {error.name}: pip install -e ".[rl]"') from error
     typer.echo(f"weights     {learn(TrainConfig(seed=seed), out)}")
 
 
@@ -161,6 +161,58 @@ def scoreboard(
         lines += ["", *comparison_table(compared(before["cells"], board["cells"]))]
     counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
     return _end(summary, [*lines, "", f"scoreboard: {counts}; {out / FILE}"])
+
+
+@dataclass(frozen=True)
+class PeersOptions:
+    """The options of the maps of exploration papers."""
+
+    maps: Annotated[
+        str,
+        Help(
+            None,
+            'Patterns of the names of maps, with commas: "*-img_[1-7]" are those of the table, "*" '
+            "are all.",
+        ),
+    ] = "*-img_1"
+    beams: Annotated[str, Help(None, "Numbers of beams, with commas. Six are the robot's own.")] = (
+        "360,6"
+    )
+    policies: Annotated[str, Help(None, "Policies, with commas: names, or FILE.py:CLASS.")] = (
+        "frontier"
+    )
+    noise: Annotated[
+        float, Help(None, "Standard deviation of the ranges, m. Poses are known without it.")
+    ] = 0.0
+    robots: Annotated[int, Help(None, "Number of robots that explore together.")] = 1
+
+
+@app.command()
+@takes(PeersOptions)
+def peers(
+    data: Annotated[Path, typer.Option(help="Folder of the maps of exploration papers.")],
+    workers: Workers = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/peers"),
+    **told: Any,
+) -> int:
+    """Explore the maps of exploration papers, in the measure of these papers. The same command goes
+    on after a kill.
+    """
+    from benchmarks.peers import Entrant, maps_in, run_peers
+
+    options = with_told(PeersOptions(), told)
+    counts = _names(options.beams)
+    if not all(count.isdecimal() for count in counts):
+        raise ValueError(f"--beams: whole numbers are needed, not {options.beams!r}")
+    lines, summary = run_peers(
+        maps_in(data, _names(options.maps)),
+        [Entrant(policy, int(count)) for policy in _names(options.policies) for count in counts],
+        out,
+        _processes(workers),
+        noise=options.noise,
+        robots=options.robots,
+    )
+    return _end(summary, [*lines, "", f"peers: {summary.words}; {out}"])
 
 
 @app.command()

@@ -3,6 +3,7 @@
 import importlib
 import subprocess
 import sys
+from importlib.metadata import version
 
 import pytest
 
@@ -22,6 +23,10 @@ def test_dir_lists_the_public_names():
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'mind'"):
         _ = limslam_agent.mind
+
+
+def test_both_packages_have_the_version_of_the_distribution():
+    assert limslam_agent.__version__ == limslam_env.__version__ == version("limslam")
 
 
 def test_running_the_package_is_the_command():

@@ -8,7 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from moviepy import VideoFileClip
+from imageio_ffmpeg import read_frames
 from PIL import Image
 
 FRAMES, SECONDS = 90, 12.0
@@ -27,8 +27,11 @@ CLOCK = (
 
 def frames_of(video: Path) -> list[Image.Image]:
     """Frames of the run, evenly spread, without the stretches in which the video is paused."""
-    with VideoFileClip(str(video)) as clip:
-        frames = [frame[:TOP] for frame in clip.iter_frames()]
+    decoded = read_frames(str(video))
+    width, height = next(decoded)["size"]
+    frames = [
+        np.frombuffer(each, dtype=np.uint8).reshape(height, width, 3)[:TOP] for each in decoded
+    ]
     moving = [
         frame
         for last, frame in pairwise(frames)

@@ -225,7 +225,7 @@ class SerialTransport:
         try:
             import serial
         except ImportError:
-            raise ValueError("a serial port needs pyserial: pip install 'limslam[live]'") from None
+            raise ValueError('a serial port needs pyserial: pip install "limslam[live]"') from None
         self._serial = serial
         self._name = port
         self._baud = baud

@@ -1,7 +1,7 @@
 """Opens ROS 1 and ROS 2 bags with rosbags, and turns every error of rosbags into an error of one
 line.
 
-rosbags is an extra (``pip install 'limslam[ros]'``). It is imported when the first bag is opened.
+rosbags is an extra (``pip install "limslam[ros]"``). It is imported when the first bag is opened.
 ROS is not needed.
 """
 
@@ -106,7 +106,7 @@ def open_bag(path: FilePath) -> Iterator[Bag]:
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
             raise ValueError(
-                f"bags are read with rosbags: pip install 'limslam[ros]' ({error})"
+                f'bags are read with rosbags: pip install "limslam[ros]" ({error})'
             ) from error
     with _one_line(path):
         # Older ROS 2 bags do not hold the definitions of their types. The standard types have not

@@ -237,7 +237,7 @@ def _ffmpeg() -> str:
     try:
         return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:
-        raise VideoError("an .mp4 needs an encoder: pip install 'limslam[video]'") from error
+        raise VideoError('an .mp4 needs an encoder: pip install "limslam[video]"') from error
 
 
 def _pipe(process: "subprocess.Popen[bytes]") -> IO[bytes]:

@@ -13,7 +13,7 @@ import numpy as np
 from limslam_env.geometry import BoolArray, FloatArray, no_rows
 from limslam_env.geometry.numbers import LARGEST_COORDINATE, is_number
 from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges
-from limslam_env.messages import one_line
+from limslam_env.messages import counted, one_line
 from limslam_env.worlds.free_space import FreeSpace, cell_for, free_space
 from limslam_env.worlds.openings import openings
 
@@ -35,7 +35,7 @@ class WorldError(ValueError):
         super().__init__(one_line(message))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class World:
     """The geometry of a building. Arrays are read-only; lengths are in metres, angles in radians.
 
@@ -124,10 +124,26 @@ class World:
     def __hash__(self) -> int:
         return hash(self.digest)
 
+    def __repr__(self) -> str:
+        width, height = self.size
+        parts = [
+            counted(len(self.walls), "wall"),
+            counted(len(self.obstacles), "obstacle"),
+            counted(len(self.doors), "door"),
+            counted(len(self.starts), "start"),
+        ]
+        return f"<World {self.name!r}: {width:g} x {height:g} m, {', '.join(parts)}>"
+
     def __reduce__(self) -> tuple[type["World"], tuple[Any, ...]]:
         # A pickle is read by the constructor, which makes read-only arrays. Those of numpy's own
         # pickles are writable.
         return World, tuple(getattr(self, part.name) for part in fields(self))
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        from limslam_env.worlds.picture import world_png
+
+        return world_png(self.edges, self.doors, self.obstacles, self.starts)
 
     def free_space(self, radius: float) -> FreeSpace:
         """The space where a disc of ``radius`` (m) fits; cached for later calls."""

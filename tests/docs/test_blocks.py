@@ -123,7 +123,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_every_block_says_what_it_holds():
-    allowed = {"python", "sh", "toml", "csv", "math", "text", "bibtex"}
+    allowed = {"python", "sh", "powershell", "toml", "csv", "math", "text", "bibtex"}
     assert [block.name for block in all_blocks() if block.language not in allowed] == []
 
 

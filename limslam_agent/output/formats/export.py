@@ -83,7 +83,7 @@ def write_dxf(folder: Path, exported: ExportedRun) -> list[Path]:
         from ezdxf import units
         from ezdxf.document import Drawing
     except ImportError as error:
-        raise ValueError("a .dxf is written with ezdxf: pip install 'limslam[export]'") from error
+        raise ValueError('a .dxf is written with ezdxf: pip install "limslam[export]"') from error
     drawing = Drawing.new("R2010")
     drawing.units = units.M
     space = drawing.modelspace()

@@ -30,7 +30,7 @@ def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise ValueError("bags are written with rosbags: pip install 'limslam[ros]'") from error
+        raise ValueError('bags are written with rosbags: pip install "limslam[ros]"') from error
     types = get_typestore(Stores.ROS2_HUMBLE)
     with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[str, Any] = {}

@@ -47,7 +47,7 @@ def read_dxf(
             from ezdxf.filemanagement import readfile
             from ezdxf.units import conversion_factor
         except ImportError as error:
-            raise WorldError("a .dxf is read with ezdxf: pip install 'limslam[plans]'") from error
+            raise WorldError('a .dxf is read with ezdxf: pip install "limslam[plans]"') from error
         if len(read_bytes(path, MAX_DRAWING_BYTES + 1)) > MAX_DRAWING_BYTES:
             raise WorldError(
                 f"larger than {MAX_DRAWING_BYTES / 1e6:g} MB: save the layers of walls only"

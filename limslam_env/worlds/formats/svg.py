@@ -59,7 +59,7 @@ def read_svg(
             import svgpathtools  # noqa: F401 - asked for before the file is read
         except ImportError as error:
             raise WorldError(
-                "an .svg is read with svgpathtools: pip install 'limslam[plans]'"
+                'an .svg is read with svgpathtools: pip install "limslam[plans]"'
             ) from error
         root = _root(read_text(path, MAX_DRAWING_BYTES))
         unit = unit_of(metres_per_unit, _physical_unit(root))

@@ -412,7 +412,7 @@ def test_without_ros_the_extra_is_named(tmp_path, monkeypatch):
     assert finished.returncode == 2
     (line,) = finished.stderr.splitlines()
     assert "ROS 2 needs rclpy, " in line
-    assert "pip install 'limslam[ros2]'" in line
+    assert 'pip install "limslam[ros2]"' in line
     assert list(tmp_path.iterdir()) == []
 
 

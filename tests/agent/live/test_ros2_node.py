@@ -19,7 +19,7 @@ from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry import se2
 
 for package in PACKAGES:
-    pytest.importorskip(package, reason=f"needs ROS 2 ({package}): pip install 'limslam[ros2]'")
+    pytest.importorskip(package, reason=f'needs ROS 2 ({package}): pip install "limslam[ros2]"')
 
 # Libraries that rclpy imports are older than Python.
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")

@@ -52,6 +52,12 @@ def box_world(**changes) -> World:
     return World(**{**fields, **changes})
 
 
+def test_a_world_is_shown_in_one_line():
+    assert repr(load_world("env1")).startswith("<World 'env1': ")
+    world = box_world()
+    assert repr(world) == "<World 'box': 4 x 4 m, 4 walls, 0 obstacles, 0 doors, 1 start>"
+
+
 def gap_walls(width: float, middle: float) -> FloatArray:
     """The box with a gap in its lower wall."""
     left = middle - 0.5 * width
