@@ -1,5 +1,6 @@
 """Settings of the documentation site: ``sphinx-build -W docs docs/_build``."""
 
+import os
 import re
 import subprocess
 import sys
@@ -8,8 +9,11 @@ from importlib.metadata import version as version_of
 from importlib.util import find_spec
 from pathlib import Path
 
+import nbformat
 from pygments.lexers.special import TextLexer
 from sphinx.application import Sphinx
+
+from limslam_agent.notebooks import HEADER, write_notebooks
 
 project = "LimSLAM"
 author = "The LimSLAM authors"
@@ -66,6 +70,7 @@ PAGES_ELSEWHERE = {
     "README.md": "/index.md",
 }
 FOLDER = Path(__file__).parent
+NOTEBOOKS = "notebooks"
 OUTSIDE = "outside-of-the-site"
 EXAMPLE = "inspector-example.html"
 
@@ -87,12 +92,13 @@ def rewrite_links(text: str, folder: Path) -> str:
             return f"]({PAGES_ELSEWHERE[outside]}{'#' * bool(anchor)}{anchor})"
         if path.is_relative_to(FOLDER) and path.suffix == ".md":
             return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
-        if path.is_relative_to(FOLDER):
-            return f"](/{path.relative_to(FOLDER).as_posix()})"
+        if path.is_relative_to(FOLDER) or (outside and path.is_file()):
+            # A file outside of the site, such as an example, becomes a download.
+            return f"](/{Path(os.path.relpath(path, FOLDER)).as_posix()})"
         return f"]({OUTSIDE})"
 
     text = re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
-    # Files and folders outside of the site, such as the examples, are named and not linked.
+    # Folders outside of the site are named and not linked.
     return re.sub(rf"\[([^\[\]]*)\]\({OUTSIDE}\)", r"\1", text)
 
 
@@ -151,11 +157,44 @@ def make_example(app: Sphinx, error: Exception | None) -> None:
             subprocess.run(command, check=True, capture_output=True)  # noqa: S603 (the project's own command)
 
 
+def with_download(text: str, name: str) -> str:
+    """A page that is a notebook with a link to the notebook below its title."""
+    if not text.startswith(HEADER):
+        return text
+    target = f"{name.count('/') * '../'}{NOTEBOOKS}/{name.rpartition('/')[2]}.ipynb"
+    link = (
+        f'<p class="notebook"><a href="{target}" download>Download this page as a notebook</a></p>'
+    )
+    return re.sub(
+        r"^# .*$", lambda title: f"{title[0]}\n\n{link}", text, count=1, flags=re.MULTILINE
+    )
+
+
+def write_downloads(app: Sphinx, error: Exception | None) -> None:
+    """Write the notebooks that users get into the site, and check that the site has executed all of
+    their cells.
+    """
+    if error is not None or app.builder.name != "html":
+        return
+    executed = Path(app.outdir).parent / "jupyter_execute"
+    for path in write_notebooks(Path(app.outdir) / NOTEBOOKS, force=True):
+        notebook = nbformat.read(path, as_version=4)
+        nbformat.validate(notebook)
+        (done,) = executed.rglob(path.name)
+        here, there = (
+            [cell.source for cell in each.cells if cell.cell_type == "code"]
+            for each in (notebook, nbformat.read(done, as_version=4))
+        )
+        if here[1:] != there:  # the first cell installs LimSLAM
+            raise ValueError(f"{path.name} has other cells than the page that was executed")
+
+
 def setup(app: Sphinx) -> None:
-    """Connect what changes links, and what makes the example of the inspector."""
+    """Connect what changes links, what makes the example of the inspector, and the notebooks."""
 
     def on_source(app: Sphinx, name: str, content: list[str]) -> None:
         content[0] = rewrite_links(content[0], Path(app.env.doc2path(name)).parent)
+        content[0] = with_download(content[0], name)
 
     def on_include(_app: Sphinx, path: Path, _parent: str, content: list[str]) -> None:
         content[0] = rewrite_links(content[0], FOLDER / path.parent)
@@ -163,5 +202,6 @@ def setup(app: Sphinx) -> None:
     app.connect("source-read", on_source)
     app.connect("include-read", on_include)
     app.connect("build-finished", make_example)
+    app.connect("build-finished", write_downloads)
     app.connect("autodoc-process-docstring", markdown_of_docstring)
     app.add_lexer("csv", TextLexer)

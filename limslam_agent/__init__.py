@@ -4,7 +4,7 @@ The names in ``__all__`` are the public interface of this package. All other nam
 may change in any release. A public name is imported when it is first used, so that ``import
 limslam_agent`` stays fast.
 
-The agent cannot see the truth: except for ``evaluate``, which runs the simulator to score agents,
+The agent cannot see the truth: except for ``evaluate`` and ``command``, which run the simulator,
 nothing here imports more of ``limslam_env`` than its geometry and its interface. The agent
 therefore also runs on a robot.
 """
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     __version__: str
     from limslam_agent.belief import Belief as Belief
+    from limslam_agent.cli.command import command as command
     from limslam_agent.config.presets import AgentConfig as AgentConfig
     from limslam_agent.config.presets import preset as preset
     from limslam_agent.config.presets import with_until as with_until
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
     from limslam_agent.mapping.mapper import MapSnapshot as MapSnapshot
     from limslam_agent.mapping.team import LimSlamAgent as LimSlamAgent
     from limslam_agent.mapping.team import LimSlamTeam as LimSlamTeam
+    from limslam_agent.notebooks import write_drives as write_drives
     from limslam_agent.output.export import save_map as save_map
+    from limslam_agent.output.finished_run import read_run as read_run
     from limslam_agent.policies.frontier_policy import FrontierPolicy as FrontierPolicy
     from limslam_agent.policies.learned.learned import LearnedPolicy as LearnedPolicy
     from limslam_agent.policies.policy import Policy as Policy
@@ -54,13 +57,16 @@ _MODULES = {
     "SlamObservation": "wrappers.single",
     "SlamVectorObservation": "wrappers.vector",
     "WallFollower": "policies.simple_policies",
+    "command": "cli.command",
     "evaluate": "runs.evaluate",
     "medians": "runs.evaluate",
     "preset": "config.presets",
     "read_log": "logs.log_reader",
+    "read_run": "output.finished_run",
     "replay_log": "replay.replay",
     "save_map": "output.export",
     "with_until": "config.presets",
+    "write_drives": "notebooks",
 }
 
 __all__ = list(_MODULES)

@@ -7,6 +7,7 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.unfinished import Faces
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.messages import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,3 +94,12 @@ class Belief:
     frame: int = 0
     map_number: int = 0
     guesses: Sequence[Guess] = ()
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        from limslam_agent.output.drawing import map_png
+
+        robots = {"est": [self.pose[None], *self.other_poses[:, None]]}
+        others = {"covariances": [self.covariance], "grid": self.grid}
+        title = f"{counted(len(self.segments), 'wall')}, {self.status.level}"
+        return map_png(title, self.segments, robots, remark=self.status.reason, **others)

@@ -1,8 +1,10 @@
 """What commands show on a terminal: warnings, tables, a progress bar, and errors."""
 
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from html import escape
 from typing import NoReturn
 
 import typer
@@ -10,13 +12,43 @@ import typer
 INTERRUPTED = 130
 """Exit code of a command that Ctrl-C ended."""
 
+_NOTEBOOK_PERIOD = 0.2  # s between two states of a bar
+
 Advance = Callable[[float, str], None]
 """Told how much is done, and the state in words."""
 
 
+def in_notebook() -> bool:
+    """Whether this is the kernel of a notebook, which shows pictures."""
+    return "ipykernel" in sys.modules
+
+
+@contextmanager
+def _notebook_bar(task: str, total: float) -> Iterator[Advance]:
+    from IPython.display import HTML, display
+
+    bar = display(HTML(), display_id=True)
+    due = 0.0
+
+    def show(done: float, state: str) -> None:
+        nonlocal due
+        if time.monotonic() < due:
+            return
+        due = time.monotonic() + _NOTEBOOK_PERIOD
+        words = escape(f"{task}: {state}")
+        bar.update(HTML(f"<progress max='{total:g}' value='{done:g}'></progress> {words}"))
+
+    yield show
+    bar.update(HTML())
+
+
 @contextmanager
 def progress_bar(task: str, total: float) -> Iterator[Advance]:
-    """A progress bar on a terminal, and nothing elsewhere."""
+    """A progress bar on a terminal and in a notebook, and nothing elsewhere."""
+    if in_notebook():
+        with _notebook_bar(task, total) as show:
+            yield show
+        return
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 

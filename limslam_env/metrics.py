@@ -14,9 +14,9 @@ from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.special import gammaincinv
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.consistency import BAND_95, KNOWN_START, nees
 from limslam_env.geometry.se2 import between, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances, lengths, sample
 from limslam_env.worlds.regions import starting_cells
@@ -30,7 +30,6 @@ NEARER = 0.05
 WALL_ANGLE = math.radians(10.0)
 DOOR_ANGLE = math.radians(30.0)
 SHORTEST_SIDE = 0.2  # m; below, sides of obstacles are not asked of a map
-KNOWN_START = 0.5  # m of travel that say nothing about consistency
 _STAND_SPACING = 0.1
 _FIRST_STANDS = 8
 _PAIRS_AT_ONCE = 1_000_000
@@ -92,30 +91,17 @@ def consistency_metrics(
 ) -> dict[str, float | None]:
     """Whether the errors of poses (n, 3) are as large as their covariances (n, 3, 3) say.
 
-    The normalised estimation error squared (NEES) is ``e^T P^-1 e`` (Bar-Shalom, Li and
-    Kirubarajan, "Estimation with Applications to Tracking and Navigation", section 5.4). Steps
-    before 0.5 m of true travel are left out, as the known start has P = 0. Where P is singular, or
-    the result negative, NEES is infinite. ``anees`` is the mean NEES / 3, above 1 when
-    overconfident; ``nees_in_95`` the share of steps in the two-sided 95 % chi-square band. Both are
-    None if there are no such steps.
+    Steps before 0.5 m of true travel are left out, as the known start has P = 0. ``anees`` is the
+    mean :func:`nees` / 3, above 1 when overconfident; ``nees_in_95`` the share of steps in the
+    two-sided 95 % chi-square band. Both are None if there are no such steps.
     """
     counted = np.append(0.0, np.cumsum(_steps(true))) >= KNOWN_START
     if not counted.any():
         return {"anees": None, "nees_in_95": None}
-    errors = true[counted] - estimated[counted]
-    errors[:, 2] = wrap_angle(errors[:, 2])
-    # The sign of the determinant finds the matrices that ``solve`` would refuse, and the whole
-    # stack with them.
-    regular = np.linalg.slogdet(covariances[counted]).sign > 0.0
-    nees = np.full(len(errors), np.inf)
-    solved = np.linalg.solve(covariances[counted][regular], errors[regular, :, None])[..., 0]
-    nees[regular] = np.einsum("ni,ni->n", errors[regular], solved)
-    nees[nees < 0.0] = np.inf
-    # Quantiles of the chi-square distribution with three degrees of freedom; scipy.stats would take
-    # long to import.
-    low, high = 2.0 * gammaincinv(1.5, (0.025, 0.975))
-    inside = (nees >= low) & (nees <= high)
-    return {"anees": float(np.mean(nees)) / 3.0, "nees_in_95": float(np.mean(inside))}
+    squared = nees(true[counted], estimated[counted], covariances[counted])
+    low, high = BAND_95
+    inside = (squared >= low) & (squared <= high)
+    return {"anees": float(np.mean(squared)) / 3.0, "nees_in_95": float(np.mean(inside))}
 
 
 @functools.lru_cache(maxsize=8)

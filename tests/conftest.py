@@ -87,3 +87,15 @@ def _names(item: pytest.Item) -> tuple[str, str]:
     """The file of a test, and the test without its parameters, as in the list."""
     file = item.path.relative_to(FOLDER).as_posix()
     return file, f"{file}::{getattr(item, 'originalname', item.name)}"
+
+
+@pytest.fixture
+def pygame(monkeypatch):
+    """Pygame with a display that nobody sees."""
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    import pygame
+
+    pygame.display.quit()
+    yield pygame
+    pygame.display.quit()

@@ -36,10 +36,11 @@ ENV = {
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
     "limslam_env.canvas": {GEOMETRY},
+    "limslam_env.overlay": {GEOMETRY},
     "limslam_env.toml_text": set(),
     "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
-    "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
+    "limslam_env.worlds": {GEOMETRY, *env("canvas", "messages", "kernels")},
     # A world may be named by the seed of a floor plan.
     "limslam_env.worlds.formats": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -63,7 +64,10 @@ ENV = {
             "simulation",
         ),
     },
-    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("canvas", "worlds", "simulation")},
+    "limslam_env.rendering": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("canvas", "overlay", "worlds", "simulation"),
+    },
     "limslam_env.envs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env(
@@ -74,6 +78,7 @@ ENV = {
             "worlds.generation",
             "simulation",
             "batch",
+            "overlay",
             "rendering",
         ),
     },
@@ -87,6 +92,7 @@ AGENT = {
     "limslam_agent.safe_files": {"limslam_env.messages"},
     "limslam_agent.map_file": {GEOMETRY, *agent("safe_files")},
     "limslam_agent.endings": set(),
+    "limslam_agent.notebooks": set(),
     "limslam_agent.terminal": env("messages"),
     "limslam_agent.command_options": agent("config"),
     "limslam_agent.robot_file": {*WHAT_AN_AGENT_MAY_KNOW, *env("robots"), *agent("config")},
@@ -124,7 +130,7 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("dropouts", "config", "grid", "kernels", "readings", "record", "slam.core"),
     },
-    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
+    "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
@@ -152,12 +158,12 @@ AGENT = {
     },
     "limslam_agent.mapping": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "grid", "places", "policies", "record", "status"),
+        *agent("belief", "config", "grid", "output", "places", "policies", "record", "status"),
         *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *env("compilation"),
+        *env("compilation", "overlay"),
         *agent("belief", "config", "grid", "mapping", "slam.batch"),
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
@@ -203,17 +209,18 @@ AGENT = {
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "endings", "logs", "mapping", "output", "policies", "replay"),
+        *agent("config", "endings", "logs", "mapping", "output", "places", "policies", "replay"),
     },
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "live", "logs", "output.formats", "policies"),
+        *agent("config", "grid", "live", "logs", "output.formats"),
     },
     "limslam_agent.video": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("canvas"),
         *agent("grid", "output", "slam.core"),
     },
+    "limslam_agent.draw": agent("inspect", "output", "safe_files"),
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent(
@@ -248,6 +255,7 @@ BENCHMARKS = {
     "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
     "benchmarks.growth": set(),
+    "benchmarks.peers": {"benchmarks.suite"},
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
@@ -255,6 +263,7 @@ BENCHMARKS = {
         "benchmarks.scoreboard",
         "benchmarks.speed",
         "benchmarks.growth",
+        "benchmarks.peers",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

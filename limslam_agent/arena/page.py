@@ -2,16 +2,17 @@
 
 import json
 import os
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from limslam_agent.arena.leaderboard import Board, Standing
 from limslam_agent.arena.results import RUNS, Row
 from limslam_agent.arena.tracks import MAX_TIME
-from limslam_agent.inspect.page import filled, parts_of_pages
+from limslam_agent.inspect.page import filled, part, parts_of_pages
 from limslam_agent.measurements.statistics import number
 from limslam_agent.output.atomic_write import atomic_write
+
+_HERE = "limslam_agent.arena"
 
 INSPECTOR = "inspect.html"
 """The page that ``limslam inspect`` writes into the folder of a run."""
@@ -67,16 +68,12 @@ def write_board(path: Path, found: Board) -> int:
     told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace(
         "<", "\\u003c"
     )
-    own = {"TITLE": "LimSLAM arena", "SCRIPT": _part("board.js"), "DATA": told}
-    parts = parts_of_pages(_part("board.css")) | own
-    content = filled(_part("board.html"), parts).encode()
+    own = {"TITLE": "LimSLAM arena", "SCRIPT": part(_HERE, "board.js"), "DATA": told}
+    parts = parts_of_pages(part(_HERE, "board.css")) | own
+    content = filled(part(_HERE, "board.html"), parts).encode()
     with atomic_write(path) as beside:
         beside.write_bytes(content)
     return len(content)
-
-
-def _part(name: str) -> str:
-    return files("limslam_agent.arena").joinpath("page", name).read_text(encoding="utf-8")
 
 
 def _content(found: Board, place: Path) -> dict[str, Any]:

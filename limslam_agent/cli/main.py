@@ -12,8 +12,9 @@ import typer
 from limslam_agent.cli.arena import arena
 from limslam_agent.cli.inspect import inspect
 from limslam_agent.cli.live import live
+from limslam_agent.cli.notebooks import notebooks
 from limslam_agent.cli.replay import replay
-from limslam_agent.cli.run import run
+from limslam_agent.cli.run import play, run
 from limslam_agent.cli.score import score
 from limslam_agent.cli.show import compare, export, show
 from limslam_agent.cli.warmup import warmup
@@ -31,6 +32,7 @@ app = typer.Typer(
     help="Exploration and SLAM with almost no sensing.",
 )
 app.command()(run)
+app.command()(play)
 app.command()(replay)
 app.command()(live)
 app.command()(show)
@@ -38,6 +40,7 @@ app.command()(inspect)
 app.command()(compare)
 app.command()(score)
 app.command()(export)
+app.command()(notebooks)
 app.command()(warmup)
 app.add_typer(worlds)
 app.add_typer(arena)
@@ -61,24 +64,6 @@ def _limslam(
     ] = False,
 ) -> None:
     """Exploration and SLAM with almost no sensing."""
-
-
-@app.command()
-def play(
-    world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
-) -> None:
-    """Drive a robot with the keyboard, in a window."""
-    from gymnasium.error import Error
-
-    from limslam_env.envs.play import play as drive_by_keyboard
-
-    try:
-        drive = drive_by_keyboard(world)
-    except Error as error:  # no pygame, or no display
-        raise ValueError(str(error)) from error
-    typer.echo(
-        f"drove for   {drive.time:.1f} s and covered {drive.coverage:.1%} of what can be seen"
-    )
 
 
 def main() -> None:

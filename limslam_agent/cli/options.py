@@ -38,7 +38,7 @@ _ODOMETRY = "Odometry"
 _SCORE = "Score"
 _CONNECTION = "Connection and robot"
 
-_ROBOTS = "paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings."
+_ROBOTS = "paper, e-puck, four-beam-drone, ring, lidar, or a TOML file with the robot's settings."
 _AssumedStd = Annotated[Std, Help(AGENT, "Assumed standard deviation of the ranges, m.")]
 _Watch = Annotated[
     bool,

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from limslam_agent.replay.record import Replay
     from limslam_agent.two_logs.joint import JointReplay
     from limslam_env.interface import RobotSpec
+    from limslam_env.worlds.world import World
 
 
 @takes(ReplayOptions)
@@ -94,6 +95,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.checks import map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
+    from limslam_agent.runs.results import write_world
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
@@ -109,9 +111,15 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     ):
         prior_map = None if options.map is None else read_saved_map(options.map)
         result = replay_log(job.log, job.config, advance, report, prior_map)
-        scores = _scores_of(job, result, options.relations)
+        world = _world_beside(options.log, job.log)
+        scores = _scores_of(job, result, options.relations, world)
         figures = job.calibration.figures if job.calibration else {}
-        content = write_replay(folder.beside, result, job.source, {**scores, **figures})
+        source = job.source
+        if world is not None:
+            source = {**source, "world": world.name, "world_digest": world.digest}
+            write_world(folder.beside, world)
+        edges = None if world is None else world.edges
+        content = write_replay(folder.beside, result, source, {**scores, **figures}, edges)
         write_replay_settings(folder.beside, options, agent, robot)
     calibrated = [
         f"calibrated  {found.words}"
@@ -295,10 +303,12 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
         )
 
 
-def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+def _scores_of(
+    job: Job, result: "Replay", relations: Path | None, world: "World | None" = None
+) -> dict[str, Any]:
     """Metrics of a replay against the truth and against known relative poses."""
     from limslam_agent.replay.replay import relation_scores
-    from limslam_agent.runs.results import path_scores, trajectory_scores
+    from limslam_agent.runs.results import path_scores, trajectory_scores, wall_scores
 
     scores: dict[str, Any] = {}
     if job.log.true_pose is not None:
@@ -309,11 +319,25 @@ def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, 
             scores |= path_scores(
                 job.log.true_pose, result.smoothed.poses, result.smoothed.covariances
             )
+        if world is not None:
+            drawn_from = result.estimated if result.smoothed is None else result.smoothed.poses
+            scores |= wall_scores(
+                world, job.log.robot, result.segments, job.log.true_pose, drawn_from
+            )
     if job.relations is not None:
         scores |= relation_scores(result, job.relations)
         if not scores["relations"] and relations is not None:
             raise ValueError(f"{relations}: none of its relations is in the log's time")
     return scores
+
+
+def _world_beside(path: Path, log: "RecordedLog") -> "World | None":
+    """The world in which a log was driven, of the file that a simulated run writes beside it."""
+    from limslam_agent.output.finished_run import WORLD
+    from limslam_env.worlds.formats.loading import load_world
+
+    file = path.parent / WORLD
+    return load_world(file) if log.true_pose is not None and file.is_file() else None
 
 
 def _scores_of_both(

@@ -5,14 +5,15 @@ import shutil
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.options import RunOptions
+from limslam_agent.cli.options import Overwrite, RunOptions
 from limslam_agent.cli.settings import Given, run_config, run_options, write_run_settings
 from limslam_agent.command_options import takes
+from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.endings import code_of, exit_code, noted_endings
 from limslam_agent.terminal import Advance, progress_bar, say, warn
 
@@ -37,6 +38,23 @@ def run(
     """Explore an unknown building and draw its map."""
     faults = {"odometry_noise": odometry_noise, "wheel_mismatch": wheel_mismatch, "sharp": sharp}
     given = Given.read(config, {**options, **faults, "robot": robot})
+    carry_out(given, run_options(given))
+
+
+def play(
+    world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
+    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
+    preset: Annotated[str, typer.Option(help="Settings of the agent.")] = DEFAULT_PRESET,
+    seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the results.", show_default="runs/...")
+    ] = None,
+    *,
+    force: Overwrite = False,
+) -> None:
+    """Drive a robot with the keyboard, beside what it maps, and keep the run."""
+    told = {"world": world, "noise": noise, "preset": preset, "seed": seed}
+    given = Given.read(None, {**told, "policy": "keyboard", "out": out, "force": force})
     carry_out(given, run_options(given))
 
 
@@ -86,10 +104,15 @@ def _written(folder: Path, episode: "Episode", noted: list[int]) -> tuple[dict[s
     return write_episode(folder, episode.interrupted()), code
 
 
+def file_name(world: str) -> str:
+    """The name of a world as any system can have it as the name of a file."""
+    return re.sub(r"[^A-Za-z0-9_.-]+", "_", world).strip(".") or "world"
+
+
 def _folder_name(config: "RunConfig") -> str:
     from limslam_env.worlds.formats.loading import load_world
 
-    world = re.sub(r"[^A-Za-z0-9_.-]+", "_", load_world(config.world).name).strip(".") or "world"
+    world = file_name(load_world(config.world).name)
     return (
         f"{world}-{100 * config.noise:g}cm-{config.preset}-seed{config.seed}"
         + (f"-{config.policy.rpartition(':')[2]}" if config.policy != "frontier" else "")
@@ -106,21 +129,28 @@ def _shown_run(
     recording.
     """
     from limslam_agent.inspect.live_page import Follower, live_page
+    from limslam_agent.runs.driving import Driver, driving
     from limslam_agent.runs.episode import run_episode
-    from limslam_agent.runs.recording import filming
+    from limslam_agent.runs.policies import KEYBOARD
+    from limslam_agent.runs.recording import FilmedRun, filming
     from limslam_agent.runs.results import title_of
     from limslam_env.worlds.formats.loading import load_world
 
     title = title_of(config)
     steps = round(config.max_time / config.robot.control_period) + 1
     with ExitStack() as opened:
-        film = page = follower = None
+        page = follower = driver = None
+        pictures: list[FilmedRun | Driver] = []
         if options.video is not None:
-            film = opened.enter_context(filming(options.video, config, title, force=options.force))
+            film = filming(options.video, config, title, force=options.force)
+            pictures.append(opened.enter_context(film))
         if options.watch:
             page = opened.enter_context(live_page(title, load_world(config.world).edges))
             typer.echo(f"watch       {page.address}", err=True)
-        if film is not None or page is not None:
+        if config.policy == KEYBOARD:
+            driver = opened.enter_context(driving(config))
+            pictures.append(driver)
+        if page is not None or pictures:
             follower = Follower(page, steps)
 
         def show(
@@ -134,11 +164,16 @@ def _shown_run(
                 )
             if follower is not None:
                 recorder = follower.note(team.mapper, team.policies, time, env.true_poses)
-                if film is not None:
-                    film.watch(recorder, team, env, time, coverage)
+                for picture in pictures:
+                    picture.watch(recorder, team, env, time, coverage)
 
-        render_mode = None if film is None else "rgb_array"
-        episode = run_episode(config, show, render_mode=render_mode, is_interrupted=is_interrupted)
+        episode = run_episode(
+            config,
+            show,
+            render_mode="rgb_array" if pictures else None,
+            policies=None if driver is None else [driver],
+            is_interrupted=is_interrupted,
+        )
         if follower is not None:
             follower.end()
         return episode

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from limslam_agent.cli.options import Overwrite
-from limslam_agent.terminal import print_table, say
+from limslam_agent.terminal import in_notebook, print_table, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -110,7 +110,7 @@ def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
     """
     from limslam_env.rendering.window import has_display
 
-    if not has_display():
+    if not has_display() and not in_notebook():
         return False
     import matplotlib.pyplot as plt
 
@@ -120,7 +120,8 @@ def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
         return False
     try:
         # Without a toolkit for windows, Matplotlib falls back to one that only writes files.
-        if type(figure.canvas).required_interactive_framework is None:
+        framework = type(figure.canvas).required_interactive_framework
+        if framework is None and not in_notebook():
             return False
         draw(figure)
         plt.show()

@@ -57,8 +57,9 @@ MERGED = (
 
 
 @cache
-def _part(folder: str, name: str) -> str:
-    return files(_HERE).joinpath(folder, name).read_text(encoding="utf-8")
+def part(package: str, name: str, folder: str = "page") -> str:
+    """The text of a part of a page, from a folder of a package."""
+    return files(package).joinpath(folder, name).read_text(encoding="utf-8")
 
 
 def parts_of_pages(style: str) -> dict[str, str]:
@@ -66,11 +67,11 @@ def parts_of_pages(style: str) -> dict[str, str]:
     page's own.
     """
     return {
-        "STYLE": _part("vendor", "uPlot.min.css") + style,
-        "LICENSE": _part("vendor", "LICENSE.uPlot").replace(
+        "STYLE": part(_HERE, "uPlot.min.css", "vendor") + style,
+        "LICENSE": part(_HERE, "LICENSE.uPlot", "vendor").replace(
             "--", "- -"
         ),  # the text of an HTML comment
-        "LIBRARY": _part("vendor", "uPlot.iife.min.js"),
+        "LIBRARY": part(_HERE, "uPlot.iife.min.js", "vendor"),
     }
 
 
@@ -80,10 +81,10 @@ def page(title: str, recording: str = "") -> str:
     """
     own = {
         "TITLE": html.escape(title, quote=False),
-        "SCRIPT": "\n".join(_part("page", name) for name in SCRIPTS),
+        "SCRIPT": "\n".join(part(_HERE, name) for name in SCRIPTS),
         "DATA": recording,
     }
-    return filled(_part("page", "page.html"), parts_of_pages(_part("page", "style.css")) | own)
+    return filled(part(_HERE, "page.html"), parts_of_pages(part(_HERE, "style.css")) | own)
 
 
 def content_of(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:

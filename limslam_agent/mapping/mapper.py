@@ -34,6 +34,7 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import check_poses, floats
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
+from limslam_env.messages import counted
 
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
@@ -89,6 +90,15 @@ class MapSnapshot:
     def covariance(self) -> FloatArray:
         """Covariance of the first robot's pose (3, 3)."""
         return np.asarray(self.covariances[0])
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        from limslam_agent.output.drawing import map_png
+
+        robots = {"est": [*self.poses[:, None]]}
+        title = counted(len(self.segments), "wall")
+        ellipses = [*self.covariances]
+        return map_png(title, self.segments, robots, covariances=ellipses, grid=self.grid)
 
 
 class Mapper:

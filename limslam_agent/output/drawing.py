@@ -1,8 +1,9 @@
 """Draws ``map.png``: the map beside the truth."""
 
+import io
 import textwrap
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.output.map_picture import MapPicture
+from limslam_agent.output.map_picture import MapPicture, Paths
 from limslam_agent.output.style import hexadecimal
 from limslam_env.canvas import robot_colour
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.shapes import ellipse
 
 TRUTH = "0.72"
 WALLS = "#c0392b"
@@ -35,11 +37,21 @@ _LINE_HEIGHT = 0.2
 _LETTERS_PER_INCH_OF_LEGEND = 15
 _HANDLE = 0.6
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
+# m, and typical steps: a longer step of a path is not driven
+_JUMP = 0.5
+_JUMP_STEPS = 20.0
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
 
 
-def draw_map(path: Path, picture: MapPicture) -> None:
+def map_png(title: str, segments: FloatArray, paths: Paths, **others: Any) -> bytes:
+    """What a notebook shows: the PNG file of :meth:`MapPicture.of`."""
+    file = io.BytesIO()
+    draw_map(file, MapPicture.of(title, segments, paths, **others), dpi=90)
+    return file.getvalue()
+
+
+def draw_map(file: Path | BinaryIO, picture: MapPicture, dpi: int = 160) -> None:
     """Draw a map into a PNG file."""
     low, high = _extent(picture)
     width, height = np.maximum(high - low, 0.5)
@@ -56,7 +68,7 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     # A title of the axes may be cut off: their equal scales move it after the layout.
     figure.suptitle("\n".join((picture.title, *remark)), fontsize=11, parse_math=False)
     add_legend(figure, handles, columns)
-    figure.savefig(path, dpi=160, facecolor="white")
+    figure.savefig(file, format="png", dpi=dpi, facecolor="white")
 
 
 def add_legend(
@@ -92,7 +104,8 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
             LineCollection(list(edges), colors=TRUTH, linewidths=5.0, capstyle="round", zorder=1)
         )
     _draw_paths(axes, picture)
-    _draw_walls(axes, picture.segments)
+    _draw_ellipses(axes, picture)
+    _draw_walls(axes, picture.segments, picture.colour or WALLS)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_axis_off()
     _draw_scale(axes, low, high)
@@ -124,24 +137,27 @@ def path_colours(robots: int) -> list[tuple[str, str]]:
     return [(hexadecimal(robot_colour(number)),) * 2 for number in range(robots)]
 
 
-def legend(picture: MapPicture) -> list[Line2D]:
-    """The entries of the legend."""
+def legend(*pictures: MapPicture) -> list[Line2D]:
+    """The entries of the legend of pictures: what is in one of them, once."""
+    handles = {handle.get_label(): handle for each in pictures for handle in _handles(each)}
+    return list(handles.values())
+
+
+def _handles(picture: MapPicture) -> list[Line2D]:
     handles: list[Line2D] = []
 
     def add(label: str, **style: Any) -> None:
         handles.append(Line2D([], [], label=label, **style))
 
-    colours = path_colours(len(picture.estimated))
-    several = len(colours) > 1
+    colours = _colours(picture)
+    several = len(set(colours)) > 1
     estimated, odometry = ("0.45", "0.45") if several else colours[0]
-    add("walls of the map, end points", color=WALLS, marker="o", markersize=3)
+    walls = picture.colour or WALLS
+    add("walls of the map, end points", color=walls, marker="o", markersize=3)
     for number, (colour, _) in enumerate(colours if several else ()):
         add(f"robot {number + 1}", color=colour)
-    add("smoothed path" if picture.online else "estimated path", color=estimated)
-    if picture.online:
-        add("path as estimated online", color=estimated, linestyle=_DOTS, linewidth=_ONLINE_WIDTH)
-    add("start", color=estimated, linestyle="", marker=_START)
-    add("end", color=estimated, linestyle="", marker=_END)
+    for label, style in _path_styles(picture):
+        add(label, color=estimated, **style)
     if picture.odometry:
         low, high = _extent(picture)
         is_cut = any(((path < low) | (path > high)).any() for path in picture.odometry)
@@ -157,23 +173,69 @@ def legend(picture: MapPicture) -> list[Line2D]:
     return handles
 
 
+def _path_styles(picture: MapPicture) -> list[tuple[str, dict[str, Any]]]:
+    """What is drawn in the colour of an estimate, by its name in the legend."""
+    styles: list[tuple[str, dict[str, Any]]]
+    if all(len(path) == 1 for path in picture.estimated):
+        styles = [("robot", {"linestyle": "", "marker": _END})]
+    else:
+        styles = [
+            ("smoothed path" if picture.online else "estimated path", {}),
+            ("start", {"linestyle": "", "marker": _START}),
+            ("end", {"linestyle": "", "marker": _END}),
+        ]
+    if picture.online:
+        dots: dict[str, Any] = {"linestyle": _DOTS, "linewidth": _ONLINE_WIDTH}
+        styles.insert(1, ("path as estimated online", dots))
+    if picture.covariances:
+        styles.append(("95 % of its positions", {"linewidth": 0.8}))
+    return styles
+
+
+def _colours(picture: MapPicture) -> list[tuple[str, str]]:
+    """Colours of each robot's estimated path and odometry."""
+    robots = len(picture.estimated)
+    return [(picture.colour,) * 2] * robots if picture.colour else path_colours(robots)
+
+
+def _unbroken(path: FloatArray) -> FloatArray:
+    """A path (n, 2), m, with NaN where the robot was carried, or found to be elsewhere."""
+    steps = np.hypot(*np.diff(path, axis=0).T)
+    usual = steps.sum() / max(len(steps), 1)
+    jumps = np.flatnonzero(steps > max(_JUMP, _JUMP_STEPS * usual))
+    return np.insert(path, jumps + 1, np.nan, axis=0)
+
+
 def _draw_paths(axes: Axes, picture: MapPicture) -> None:
-    colours = path_colours(len(picture.estimated))
+    colours = _colours(picture)
     for (_, colour), path in zip(colours, picture.odometry, strict=False):
-        axes.plot(*path.T, color=colour, linewidth=0.9, linestyle=_DASHES, zorder=2)
+        axes.plot(*_unbroken(path).T, color=colour, linewidth=0.9, linestyle=_DASHES, zorder=2)
     for path in picture.true:
-        axes.plot(*path.T, color=TRUE_PATH, linewidth=1.2, zorder=3)
+        axes.plot(*_unbroken(path).T, color=TRUE_PATH, linewidth=1.2, zorder=3)
     for (colour, _), path in zip(colours, picture.online, strict=False):
-        axes.plot(*path.T, color=colour, linewidth=_ONLINE_WIDTH, linestyle=_DOTS, zorder=3)
+        axes.plot(
+            *_unbroken(path).T, color=colour, linewidth=_ONLINE_WIDTH, linestyle=_DOTS, zorder=3
+        )
     for (colour, _), path in zip(colours, picture.estimated, strict=True):
-        axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
-        axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)
+        axes.plot(*_unbroken(path).T, color=colour, linewidth=1.2, zorder=4)
+        if len(path) > 1:
+            axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)
         axes.plot(
             *path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=8
         )
 
 
-def _draw_walls(axes: Axes, segments: FloatArray) -> None:
+def _draw_ellipses(axes: Axes, picture: MapPicture) -> None:
+    """Draw what the last position of each robot may be."""
+    colours = _colours(picture)
+    for (colour, _), path, covariance in zip(
+        colours, picture.estimated, picture.covariances, strict=False
+    ):
+        outline = path[-1] + ellipse(covariance[:2, :2], 48)
+        axes.fill(*outline.T, facecolor="none", edgecolor=colour, linewidth=0.8, zorder=8)
+
+
+def _draw_walls(axes: Axes, segments: FloatArray, colour: str) -> None:
     """Draw walls over their end points, which are small, so that short walls are not hidden by
     them.
     """
@@ -182,13 +244,13 @@ def _draw_walls(axes: Axes, segments: FloatArray) -> None:
         *ends.T,
         linestyle="",
         marker="o",
-        color=WALLS,
+        color=colour,
         markeredgewidth=0.0,
         markersize=2.6,
         zorder=6,
     )
     axes.add_collection(
-        LineCollection(list(segments.reshape(-1, 2, 2)), colors=WALLS, linewidths=1.6, zorder=7)
+        LineCollection(list(segments.reshape(-1, 2, 2)), colors=colour, linewidths=1.6, zorder=7)
     )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import count, takewhile
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +59,10 @@ class FinishedRun:
     # have the same times.
     times: list[FloatArray] = field(default_factory=list)
 
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        return (self.folder / PICTURE).read_bytes()
+
     def elapsed(self, number: int) -> FloatArray:
         """Time since a robot's first pose (n,), s."""
         time = self.times[number] if self.times else self.time
@@ -73,6 +78,11 @@ class FinishedRun:
                 f"{self.folder / 'log_0'}"
             )
         return self
+
+    @property
+    def metrics(self) -> dict[str, Any]:
+        """The figures of the run by their names in ``docs/metrics.md``."""
+        return dict(part_of(self.result, "metrics"))
 
     @property
     def is_replay(self) -> bool:
@@ -116,13 +126,42 @@ def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
     return ", ".join(filter(None, parts))
 
 
-def read_run(folder: Path) -> FinishedRun:
+def read_run(folder: str | PathLike[str]) -> FinishedRun:
     """Read a folder that ``limslam run`` or ``limslam replay`` has written.
 
-    Results that a process was killed over while it replaced them are first put back in place.
-    Raises a FolderError if the folder does not exist, or one of its files is missing, damaged or
-    inconsistent with the others.
+    Results that a process was killed over while it replaced them are first put back in place. In a
+    notebook, a run shows its map.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+
+    Returns
+    -------
+    FinishedRun
+        ``metrics``, ``segments`` (k, 4), m, ``time`` (n,), s, and for each robot the poses (n, 3),
+        m and rad, ``true``, ``estimated``, ``smoothed`` and ``odometry``, and ``covariances`` and
+        ``smoothed_covariances`` (n, 3, 3). What is not known is empty.
+
+    Raises
+    ------
+    FolderError
+        If the folder does not exist, or one of its files is missing, damaged or inconsistent with
+        the others.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from limslam_agent import command, read_run
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     command(f"run --max-time 1 --preset odometry --out '{folder}/run'")
+    ...     run = read_run(f"{folder}/run")
+    method ...
+    >>> run.true[0].shape, run.metrics["path_m"] < 0.3
+    ((11, 3), True)
     """
+    folder = Path(folder)
     _check_finished(folder)
     result = _read_json(folder / RESULT_FILE)
     segments = read_walls(folder / MAP)

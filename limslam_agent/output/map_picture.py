@@ -2,10 +2,13 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
+
+Paths: TypeAlias = Mapping[str, Sequence[FloatArray]]
+"""Poses (n, 3) of each robot, by the kinds in the names of their files."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,18 +33,14 @@ class MapPicture:
     online: Sequence[FloatArray] = ()
     # A sentence below the title, such as why the map may be wrong. Empty if there is none.
     remark: str = ""
+    # Colour of walls and paths, where several maps are compared. Empty gives each its own.
+    colour: str = ""
+    # Covariances (3, 3) of the last estimated pose of each robot. Empty draws no ellipses.
+    covariances: Sequence[FloatArray] = ()
 
     @classmethod
-    def of(
-        cls,
-        title: str,
-        segments: FloatArray,
-        paths: Mapping[str, Sequence[FloatArray]],
-        **others: Any,
-    ) -> "MapPicture":
-        """The picture of a map with the poses (n, 3) of each robot, by the kinds in the names of
-        their files.
-        """
+    def of(cls, title: str, segments: FloatArray, paths: Paths, **others: Any) -> "MapPicture":
+        """The picture of a map with the paths of robots."""
 
         def positions(kind: str) -> list[FloatArray]:
             return [poses[:, :2] for poses in paths.get(kind, ())]

@@ -5,6 +5,7 @@ beside each other.
 import math
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from limslam_agent.output.drawing import add_legend, finish_errors, legend, pain
 from limslam_agent.output.finished_run import FinishedRun
 from limslam_agent.output.map_picture import MapPicture
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.consistency import BAND_95, KNOWN_START, nees
 from limslam_env.geometry.se2 import wrap_angle
 
 SIZE = (12.0, 6.8)
@@ -99,8 +101,11 @@ def draw_run(
     """Draw a finished run into an empty figure with a constrained layout: its map, with the walls
     of the world (k, 4), m, if they are known, its errors over time, and lines of text about it.
     """
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
-    picture = _map_of(run, true_edges, run.odometry)
+    has_nees = bool(run.true and run.covariances)
+    rows = 3 + has_nees
+    heights = [*[1.0] * (rows - 1), 0.7]
+    grid = figure.add_gridspec(rows, 2, width_ratios=(1.25, 1.0), height_ratios=heights)
+    picture = _map_of(run, true_edges, odometry=run.odometry)
     paint_map(figure.add_subplot(grid[:, 0]), picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
@@ -129,6 +134,10 @@ def draw_run(
     _finish(upper, lower, compared)
     upper.tick_params(labelbottom=False)
     upper.set_xlabel("")
+    if has_nees:
+        lower.tick_params(labelbottom=False)
+        lower.set_xlabel("")
+        _plot_nees(figure.add_subplot(grid[2, 1], sharex=upper), run, colours, online)
     if upper.lines:
         # Between the plots, where it hides no curve.
         upper.legend(
@@ -143,7 +152,34 @@ def draw_run(
             transform=upper.transAxes,
             fontsize=9,
         )
-    _write(figure.add_subplot(grid[2, 1]), lines)
+    _write(figure.add_subplot(grid[-1, 1]), lines)
+
+
+def _plot_nees(axes: Axes, run: FinishedRun, colours: Sequence[str], online: LineStyleType) -> None:
+    """Plot the squared error in units of the covariance, over its three components: about 1 if an
+    estimate knows its error.
+    """
+    kinds = (
+        (run.estimated, run.covariances, online),
+        (run.smoothed, run.smoothed_covariances, "-"),
+    )
+    for paths, stated, style in kinds:
+        for number, (poses, true, covariances) in enumerate(
+            zip(paths, run.true, stated, strict=False)
+        ):
+            ratio = nees(true, poses, covariances) / 3.0
+            driven = np.append(0.0, np.cumsum(np.hypot(*np.diff(true[:, :2], axis=0).T)))
+            ratio[driven < KNOWN_START] = np.nan
+            time = run.elapsed(number)
+            axes.plot(time, ratio, color=colours[number], linestyle=style, linewidth=1.0)
+    low, high = (each / 3.0 for each in BAND_95)
+    axes.axhspan(low, high, color="0.88", linewidth=0.0, zorder=0)
+    axes.axhline(1.0, color="0.4", linewidth=0.8)
+    axes.set(yscale="log", ylim=(0.01, None))
+    axes.set_ylabel("NEES / 3\n(grey: 95 %)", fontsize=9)
+    axes.set_xlabel("time, s", fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _write(axes: Axes, lines: Sequence[str]) -> None:
@@ -178,7 +214,10 @@ def draw_comparison(
     grid = figure.add_gridspec(
         rows + has_truth, 2 * columns, height_ratios=[1.0] * rows + [0.75] * has_truth
     )
-    pictures = [_map_of(run, walls) for run, walls in zip(runs, edges, strict=True)]
+    pictures = [
+        _map_of(run, walls, colour=colour)
+        for run, walls, colour in zip(runs, edges, COLOURS, strict=False)
+    ]
     for number, (picture, name) in enumerate(zip(pictures, names_of(runs), strict=True)):
         column = 2 * (number % columns)
         axes = figure.add_subplot(grid[number // columns, column : column + 2])
@@ -196,16 +235,19 @@ def draw_comparison(
         _finish(left, right, "error", " (shaded: 2 standard deviations)")
         # Above the plot, where it hides no curve.
         left.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
-    handles = legend(max(pictures, key=lambda picture: len(legend(picture))))
+    handles = legend(*(replace(picture, colour="0.45") for picture in pictures))
     add_legend(figure, handles, min(len(handles), 4))
     figure.suptitle(common_title(runs), fontsize=12, parse_math=False)
 
 
 def _map_of(
-    run: FinishedRun, edges: FloatArray | None, odometry: Sequence[FloatArray] = ()
+    run: FinishedRun,
+    edges: FloatArray | None,
+    odometry: Sequence[FloatArray] = (),
+    colour: str = "",
 ) -> MapPicture:
     paths = {"est": run.estimated, "true": run.true, "smoothed": run.smoothed, "odometry": odometry}
-    return MapPicture.of(run.title, run.segments, paths, true_edges=edges)
+    return MapPicture.of(run.title, run.segments, paths, true_edges=edges, colour=colour)
 
 
 def _plot(

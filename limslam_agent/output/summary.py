@@ -30,6 +30,7 @@ _SENSOR = {
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
     "wall_curvature_per_m": ("walls curve by {:.0f} deg a metre", math.degrees(1.0)),
 }
+_WALLS = "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned"
 _ODOMETRY = {
     "left": ("left wheel {:+.2f} +- {:.2f} %", 100.0),
     "right": ("right wheel {:+.2f} +- {:.2f} %", 100.0),
@@ -77,7 +78,7 @@ def record_of(
         "odometry_end": ends,
         "places": [
             {**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])}
-            for each in places
+            for each in sorted(places, key=lambda place: place["step"])
         ],
     }
 
@@ -230,9 +231,7 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
             "", "the error is {ate_over_limit:.1f} times that" + smoothed, metrics
         )
     before = _with("; {wall_f1_aligned_online:.2f} before smoothing", metrics)
-    lines += _line(
-        "map", "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned" + before, metrics
-    )
+    lines += _line("map", _WALLS + before, metrics)
     return lines + _line("speed", "{speed_x_real_time:.0f} x real time", cost)
 
 
@@ -264,7 +263,7 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     if texts.get("odometry_") == texts.get("raw_odometry_"):
         texts.pop("odometry_", None)
     lines += [f"relations   {trajectories[prefix]:21}{text}" for prefix, text in texts.items()]
-    return lines + _line("map", "{landmarks} walls", metrics)
+    return lines + (_line("map", _WALLS, metrics) or _line("map", "{landmarks} walls", metrics))
 
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:

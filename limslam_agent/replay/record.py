@@ -17,6 +17,7 @@ from limslam_agent.slam.core.motion import Calibration, HeadingCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.messages import counted
 
 if TYPE_CHECKING:
     from limslam_agent.slam.line_graph.run import FilteredRun
@@ -138,3 +139,17 @@ class Replay:
     beam_turns: FloatArray | None = None
     # How the sensor measures, as the filter has found out; None if it estimates nothing of the kind
     sensor: RangeSensor | None = None
+
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        from limslam_agent.output.drawing import map_png
+
+        true = self.log.true_pose
+        paths = {
+            "est": [self.estimated],
+            "odometry": [self.odometry],
+            "true": [] if true is None else [true],
+            "smoothed": [] if self.smoothed is None else [self.smoothed.poses],
+        }
+        title = f"{counted(len(self.segments), 'wall')}, {self.config.preset}"
+        return map_png(title, self.segments, paths, grid=self.grid, remark=self.status.remark)

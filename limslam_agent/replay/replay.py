@@ -23,6 +23,7 @@ from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.hand_over import ESTIMATE, LogEstimate
 from limslam_agent.replay.record import Replay, SelfCalibration
 from limslam_agent.status.status import Status, final_status_scores, status_scores
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 
 
@@ -135,7 +136,11 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
 
 
 def write_replay(
-    folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any]
+    folder: Path,
+    replay: Replay,
+    source: dict[str, str | None],
+    scores: dict[str, Any],
+    true_edges: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Write trajectory, map, picture and result of a replay into a folder. Returns the content of
     ``result.json``.
@@ -149,7 +154,9 @@ def write_replay(
     source
         Names of the files that the replay used, such as ``log`` and ``relations``.
     scores
-        Metrics of the trajectory.
+        Metrics of trajectory and map.
+    true_edges
+        True walls (k, 4), m, if they are known.
     """
     log = replay.log
     smoothed = replay.smoothed
@@ -180,6 +187,7 @@ def write_replay(
             paths,
             grid=replay.grid,
             remark=status.remark,
+            true_edges=true_edges,
         ),
         content={
             "metrics": metrics,

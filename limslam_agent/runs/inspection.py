@@ -24,7 +24,7 @@ from limslam_agent.output.formats.content import read_readings
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.hand_over import is_handed_over
 from limslam_agent.runs.episode import policies_of, team_of, told_starts
-from limslam_agent.runs.policies import TOUR
+from limslam_agent.runs.policies import FROM_OUTSIDE
 from limslam_agent.runs.policy_file import is_file_policy
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.safe_files import read_limited
@@ -66,9 +66,9 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
         raise FolderError(f"{run.folder}: there is no {missing}, so the run cannot be inspected")
     world = load_world(config.world)
     true = np.array(run.true).swapaxes(0, 1)
-    # A tour, which knows the true pose, cannot decide from the log alone, and the code in a file is
-    # not executed again.
-    is_repeated = not (config.policy == TOUR or is_file_policy(config.policy))
+    # A tour or a driver cannot decide from the log alone, and the code in a file is not executed
+    # again.
+    is_repeated = not (config.policy in FROM_OUTSIDE or is_file_policy(config.policy))
     team = team_of(config, policies_of(config, world) if is_repeated else None)
     team.reset(told_starts(config, true[0]), config.seed)
     recorder = Recorder(team.mapper, len(run.time))

@@ -22,6 +22,10 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 TOUR = "tour"
+KEYBOARD = "keyboard"
+FROM_OUTSIDE = (TOUR, KEYBOARD)
+"""Policies that act on what no agent knows."""
+
 BELIEF_POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "learned")
 """Policies that act on the belief alone."""
 
@@ -92,16 +96,16 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
     """
     if is_file_policy(policy):
         file_and_name(policy)
-    elif policy not in {*BELIEF_POLICIES, TOUR}:
-        known = ", ".join((*BELIEF_POLICIES, TOUR))
+    elif policy not in {*BELIEF_POLICIES, *FROM_OUTSIDE}:
+        known = ", ".join((*BELIEF_POLICIES, *FROM_OUTSIDE))
         raise ValueError(
             f"no policy is called {policy!r}; there are {known}, or a file: FILE.py:CLASS"
         )
     if laps and policy not in {"frontier", TOUR}:
         raise ValueError(f"laps go with the policies frontier and tour, not with {policy!r}")
-    if robots > 1 and (laps or policy == TOUR):
+    if robots > 1 and (laps or policy in FROM_OUTSIDE):
         what = "laps are" if laps else f"the policy {policy!r} is"
-        raise ValueError(f"{what} for one robot: several would meet on the loop")
+        raise ValueError(f"{what} for one robot")
 
 
 def check_belief_policy(policy: str) -> None:
@@ -109,9 +113,9 @@ def check_belief_policy(policy: str) -> None:
     for.
     """
     check_policy(policy, laps=0, robots=1)
-    if policy == TOUR:
+    if policy in FROM_OUTSIDE:
         raise ValueError(
-            f"the policy {policy!r} knows the truth: use limslam run --policy {policy}"
+            f"the policy {policy!r} does not act on a belief: use limslam run --policy {policy}"
         )
 
 

@@ -23,7 +23,7 @@ from limslam_agent.output.map_picture import MapPicture
 from limslam_agent.output.results import Results, write_results
 from limslam_agent.output.summary import calibration_record, record_of, run_cost, sensor_record
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_agent.runs.policies import TOUR
+from limslam_agent.runs.policies import FROM_OUTSIDE
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
@@ -95,7 +95,7 @@ def score(episode: Episode) -> dict[str, Any]:
     has_limit = config.limit and not episode.is_interrupted
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if has_limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
-    has_explored = episode.claims_explored and not config.laps and config.policy != TOUR
+    has_explored = episode.claims_explored and not config.laps and config.policy not in FROM_OUTSIDE
     true = episode.true[known, placed]
     final = episode.final_map
     walls = map_scores(
@@ -105,7 +105,7 @@ def score(episode: Episode) -> dict[str, Any]:
         # What the robots knew when the run stopped.
         online = episode.online_map
         poses = online.poses[known, placed]
-        before = _wall_scores(episode.world, config.robot, online.segments, true, poses)
+        before = wall_scores(episode.world, config.robot, online.segments, true, poses)
         walls |= {f"{name}_online": value for name, value in before.items()}
     estimates = {**trajectory, **limit, **smoothed, **walls}
     if config.map is not None and not episode.in_prior_map:
@@ -182,20 +182,23 @@ def map_scores(
     grid = final.grid
     claimed = grid.centres(np.argwhere(grid.free))
     return {
-        **_wall_scores(world, robot, final.segments, true, estimated),
+        **wall_scores(world, robot, final.segments, true, estimated),
         "doors_open": metrics.doors_open(world.doors, final.segments),
         **metrics.coverage_claims(claimed, grid.cell, covered.coverable, covered.low, CELL),
         "landmarks": len(final.segments),
     }
 
 
-def _wall_scores(
+def wall_scores(
     world: World,
     robot: RobotSpec,
     segments: FloatArray,
     true: FloatArray,
     estimated: FloatArray,
 ) -> dict[str, float]:
+    """Metrics of the walls of a map (m, 4), m. True poses (..., 3), and the poses that the map was
+    drawn from, align it with the world.
+    """
     # All robots share one map, so one rigid motion aligns it.
     alignment = metrics.rigid_alignment(true.reshape(-1, 3)[:, :2], estimated.reshape(-1, 3)[:, :2])
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
@@ -297,7 +300,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         episode.covariances,
         None if smoothed is None else smoothed.covariances,
     )
-    (folder / WORLD).write_text(world_toml(episode.world), encoding="utf-8", newline="\n")
+    write_world(folder, episode.world)
     results = Results(
         times=[episode.time] * episode.config.robots,
         paths={kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()},
@@ -318,6 +321,11 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         tables={} if smoothed is None else {"map_online.json": map_content(episode.online_map)},
     )
     return write_results(folder, results)
+
+
+def write_world(folder: Path, world: World) -> None:
+    """Write the world of a run beside its results."""
+    (folder / WORLD).write_text(world_toml(world), encoding="utf-8", newline="\n")
 
 
 def _config(episode: Episode) -> dict[str, Any]:

@@ -81,7 +81,12 @@ class RunSpec(Bounded):
         ),
     ] = 1800.0
     policy: Annotated[
-        str, Help(AGENT, f"{POLICIES} tour drives around the world's loop by the true pose.")
+        str,
+        Help(
+            AGENT,
+            f"{POLICIES} tour drives around the world's loop by the true pose, and keyboard is "
+            "driven in a window (limslam play).",
+        ),
     ] = "frontier"
     until: Until = "walls"
     laps: Annotated[

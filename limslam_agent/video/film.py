@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import cv2
 import numpy as np
@@ -20,7 +20,6 @@ from limslam_agent.video.belief_panels import (
 )
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.narration import SPEED, Caption, Narrator
-from limslam_agent.video.video import VideoWriter
 from limslam_env.canvas import PAPER, RULE, TEXT, Image, mixed
 from limslam_env.geometry import FloatArray
 
@@ -61,6 +60,7 @@ class Scene:
         FloatArray, FloatArray
     ]  # Corners (2,), m, of the region that the picture of the belief shows
     is_paused: bool = False  # Whether the video is paused for the caption
+    speed: float = SPEED  # How much faster the video is than the run
 
 
 Box: TypeAlias = tuple[int, int, int, int]
@@ -78,18 +78,34 @@ class Layout:
     log: Box
 
 
+class Writer(Protocol):
+    """Takes the frames of a film, such as a `VideoWriter`."""
+
+    def write(self, image: Image, hold: float = 0.0) -> None:
+        """Take a frame that is shown for a time, s; 0 is the time of one frame."""
+        ...
+
+
 class Film:
     """Makes the frames of a run and gives them to a writer.
 
     Both pictures show the smallest box around all walls of the world, with the corners ``low`` and
-    ``high`` (2,), m.
+    ``high`` (2,), m. The film is ``speed`` times faster than the run.
     """
 
-    def __init__(self, writer: VideoWriter, low: FloatArray, high: FloatArray, title: str) -> None:
+    def __init__(
+        self,
+        writer: Writer,
+        low: FloatArray,
+        high: FloatArray,
+        title: str,
+        speed: float = SPEED,
+    ) -> None:
         self._writer = writer
         self._corners = (low, high)
         self._title = title
-        self._narrator = Narrator()
+        self._speed = speed
+        self._narrator = Narrator(speed)
         self._next = 0.0
         self._shown = 0
         self._last: tuple[Image, BeliefFrame, Scene] | None = None
@@ -104,10 +120,12 @@ class Film:
         """
         # The next frame is due a period after the last one was, whenever that was drawn: steps need
         # not fit the period.
-        self._next = max(self._next, frame.time - SPEED / FPS) + SPEED / FPS
+        period = self._speed / FPS
+        self._next = max(self._next, frame.time - period) + period
         cropped, window = cropped_truth(truth, *self._corners)
         for caption, pause in self._narrator.hear(frame):
-            scene = Scene(caption, self._title, self._narrator.log, coverage, window, pause > 0.0)
+            log = self._narrator.log
+            scene = Scene(caption, self._title, log, coverage, window, pause > 0.0, self._speed)
             # Only the walls of the current caption are highlighted, and the votes are those that it
             # speaks of.
             events = () if caption.event is None else (caption.event,)
@@ -119,7 +137,7 @@ class Film:
         """How long the frame of a simulated time is shown, s of the video. 0 is the time of one
         frame.
         """
-        frames = max(round(time / SPEED * FPS) + 1 - self._shown, 1)
+        frames = max(round(time / self._speed * FPS) + 1 - self._shown, 1)
         self._shown += frames
         return frames / FPS if frames > 1 else 0.0
 
@@ -238,7 +256,7 @@ def _draw_header(page: Image, time: float, scene: Scene) -> None:
     box(page, (bar, 24), (bar + 60, 30), RULE)
     if scene.coverage > 0.0:
         box(page, (bar, 24), (bar + round(60 * min(scene.coverage, 1.0)), 30), TEXT)
-    speed = "paused" if scene.is_paused else f"{SPEED:g} x"
+    speed = "paused" if scene.is_paused else f"{scene.speed:g} x"
     write(page, speed, (right - 270, 33), 14, FAINT, anchor="right")
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
 
@@ -249,7 +267,8 @@ def _draw_foot(page: Image, scene: Scene) -> None:
     _put(page, draw_stages(scene.caption.stages, width, 26), (_GAP, top, width, 26))
     if scene.is_paused:
         box(page, (0, top + 34), (WIDTH, top + 90), mixed(GLOW, PAPER, 0.82))
-    write(page, scene.caption.headline, (_GAP, top + 58), 18, INK, bold=True)
+    headline = fitted(scene.caption.headline, 18, round(0.92 * width))  # bold letters are wider
+    write(page, headline, (_GAP, top + 58), 18, INK, bold=True)
     write(page, scene.caption.explanation, (_GAP, top + 81), 15, INK if scene.is_paused else TEXT)
     _put(page, draw_legend(width, 22), (_GAP, HEIGHT - 27, width, 22))
 

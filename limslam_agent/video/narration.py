@@ -97,7 +97,7 @@ _WEIGHTS = {"warning": 6, "loop": 5, "new": 3, "goal": 2, "hough": 1, "again": 1
 
 class Narrator:
     """Chooses the captions so that they can be read, although several events happen in every
-    second.
+    second of a picture that is ``speed`` times faster than the run.
 
     Attributes
     ----------
@@ -105,7 +105,8 @@ class Narrator:
         Past events, with the latest first: time (s), kind and text.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, speed: float = SPEED) -> None:
+        self._speed = speed
         self._untaught = set(LESSONS)
         self._last: BeliefFrame | None = None
         self._said = "drive"
@@ -147,7 +148,7 @@ class Narrator:
         """The kind to explain now: one at a time, with some of the run between two. Loops are rare
         and do not wait.
         """
-        is_early = (time - self._explained) / SPEED < _BETWEEN
+        is_early = (time - self._explained) / self._speed < _BETWEEN
         for kind in happening:
             if kind in self._untaught and (kind == "loop" or not is_early):
                 self._explained = time
@@ -167,7 +168,7 @@ class Narrator:
 
     def _choose(self, time: float) -> None:
         """Change the caption after it could be read, if there is another one."""
-        held = (time - self._since) / SPEED
+        held = (time - self._since) / self._speed
         others = {
             kind: caption for kind, caption in self._waiting.items() if kind != self._said
         } or self._waiting

@@ -17,7 +17,6 @@ from limslam_env.canvas import (
     ROBOTS,
     RULE,
     SEEN,
-    TEXT,
     UNSEEN,
     Canvas,
     Colour,
@@ -28,22 +27,25 @@ from limslam_env.canvas import (
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
-from limslam_env.rendering.overlay import Overlay
+from limslam_env.overlay import Overlay
 from limslam_env.simulation.coverage import CELL
+from limslam_env.worlds.picture import (
+    HEIGHT,
+    MARGIN,
+    NARROWEST,
+    WALL,
+    WIDEST,
+    draw_floor,
+    draw_scale,
+    draw_walls,
+    line_width,
+    new_canvas,
+    write,
+)
 from limslam_env.worlds.world import World
 
-HEIGHT = 640
-"""Height of a picture in pixels; the width follows the world."""
-
-_MARGIN = 30
-_FONT = cv2.FONT_HERSHEY_SIMPLEX, 0.42
-_NARROWEST = 420
-_WIDEST = 1600
-_OUTSIDE_GAP = 0.30  # m; what is narrower does not let the outside in
 _TRAIL_POINTS = 2000
 
-_WALL = (47, 55, 69)
-_OBSTACLE = (174, 183, 195)
 _ROBOT_HIT = (190, 40, 140)
 _NO_HIT = (158, 184, 212)
 
@@ -101,7 +103,7 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
         Of the same world, by :func:`square_background`. None makes a picture as wide as its world
         needs it.
     """
-    background = background or _background(state.world, _NARROWEST, _WIDEST)
+    background = background or _background(state.world, NARROWEST, WIDEST)
     canvas = background.canvas.on(background.canvas.image.copy())
     mask = _seen_mask(canvas, state.seen, state.seen_low)
     cv2.add(
@@ -114,14 +116,14 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
             canvas.path(
                 thinned(path, _TRAIL_POINTS),
                 mixed(robot_colour(number), SEEN, 0.45),
-                _width(canvas, 0.02, 2),
+                line_width(canvas, 0.02, 2),
             )
     for number in range(len(state.poses)):
         _draw_beams(canvas, state, number)
     for number, pose in enumerate(state.poses):
         _draw_robot(canvas, pose, state.robot.radius, robot_colour(number))
     for number, overlay in enumerate(state.overlay):
-        _draw_overlay(canvas, overlay, state.robot.radius, mixed(robot_colour(number), _WALL, 0.3))
+        _draw_overlay(canvas, overlay, state.robot.radius, mixed(robot_colour(number), WALL, 0.3))
     _draw_caption(canvas.image, state.time, state.coverage)
     return canvas.image
 
@@ -131,76 +133,18 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
 def _background(
     world: World, least_width: int, most_width: int, least_height: int = 0
 ) -> Background:
-    canvas = _new_canvas(world, least_width, most_width, least_height)
+    canvas = new_canvas(world.edges, least_width, most_width, least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, UNSEEN), (everything_seen, SEEN)):
-        _draw_floor(layer, world, floor)
-        _draw_walls(layer, world)
-        _draw_scale(layer)
+        draw_floor(layer, np.vstack((world.edges, world.doors)), floor)
+        draw_walls(layer, world.edges, world.obstacles)
+        draw_scale(layer)
     light = np.asarray(cv2.subtract(everything_seen.image, canvas.image), dtype=np.uint8)
     return Background(canvas, light)
 
 
-def _new_canvas(world: World, least_width: int, most_width: int, least_height: int) -> Canvas:
-    """A canvas around a world; the sizes are in pixels."""
-    corners = world.edges.reshape(-1, 2)
-    low = corners.min(axis=0)
-    extent = np.maximum(np.ptp(corners, axis=0), 1e-3)
-    scale = float(((most_width - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
-    columns, rows = np.ceil(extent * scale).astype(int) + 2 * _MARGIN
-    # Video codecs want even sides.
-    columns = max(columns + columns % 2, least_width + least_width % 2)
-    rows = rows + rows % 2
-    origin = np.array(
-        [0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2]
-    )
-    rows = max(rows, least_height)
-    return Canvas(np.full((rows, columns, 3), PAPER, dtype=np.uint8), low, origin, scale)
-
-
-def _width(canvas: Canvas, metres: float, most: int) -> int:
-    """Width of a line in pixels: at least one, however large the world."""
-    return min(max(round(metres * canvas.scale), 1), most)
-
-
 def _draw_dots(canvas: Canvas, centres: FloatArray, colour: Colour) -> None:
     canvas.discs(centres, max(0.03 * canvas.scale, 1.5), colour)
-
-
-def _draw_floor(canvas: Canvas, world: World, colour: Colour) -> None:
-    """Colour all that the outside does not get to: walls are a drawing, and need not be a closed
-    outline.
-    """
-    gap = max(round(_OUTSIDE_GAP * canvas.scale), 1)
-    walls = canvas.on(np.zeros(canvas.image.shape[:2], dtype=np.uint8))
-    walls.lines(np.vstack((world.edges, world.doors)), (1, 1, 1), gap)
-    outside = np.pad(np.where(walls.image, 1, 0).astype(np.uint8), 1)
-    cv2.floodFill(outside, None, (0, 0), (2, 2, 2))
-    grown = cv2.dilate(
-        (outside == 2).astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (gap, gap))
-    )
-    canvas.image[grown[1:-1, 1:-1] == 0] = colour
-
-
-def _draw_walls(canvas: Canvas, world: World) -> None:
-    for polygon in world.obstacles:
-        canvas.polygon(polygon, _OBSTACLE)
-    canvas.lines(world.edges, _WALL, _width(canvas, 0.035, 3))
-
-
-def _draw_scale(canvas: Canvas) -> None:
-    """A bar of a round length at the upper right."""
-    right = canvas.image.shape[1] - _MARGIN
-    most = 0.2 * canvas.image.shape[1] / canvas.scale
-    length = max(
-        size
-        for size in (0.01, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-        if size <= most
-    )
-    left = right - round(length * canvas.scale)
-    cv2.line(canvas.image, (left, 20), (right, 20), TEXT, 2)
-    words = f"{length:g} m"
-    _text(canvas.image, words, left - _text_width(words) - 8, 24)
 
 
 def _seen_mask(canvas: Canvas, seen: BoolArray, low: FloatArray) -> Image:
@@ -235,14 +179,14 @@ def _draw_beams(canvas: Canvas, state: RenderState, number: int) -> None:
 def _draw_robot(canvas: Canvas, pose: FloatArray, radius: float, colour: Colour) -> None:
     size = max(radius * canvas.scale, 4.0)
     canvas.discs(pose[:2], size, colour)
-    canvas.discs(pose[:2], size, mixed(colour, _WALL, 0.4), 1)
+    canvas.discs(pose[:2], size, mixed(colour, WALL, 0.4), 1)
     canvas.polygon(canvas.arrow(pose, 1.25 * size), PAPER)
 
 
 def _draw_overlay(canvas: Canvas, overlay: Overlay, radius: float, colour: Colour) -> None:
     _draw_dots(canvas, overlay.frontier, FRONTIER)
     if len(overlay.segments):
-        canvas.lines(overlay.segments, BELIEF, _width(canvas, 0.025, 2))
+        canvas.lines(overlay.segments, BELIEF, line_width(canvas, 0.025, 2))
         _draw_dots(canvas, overlay.segments.reshape(-1, 2), BELIEF)
     if len(overlay.plan):
         canvas.path(overlay.plan, colour, 1)
@@ -266,9 +210,9 @@ def _draw_ghost(
 
 def _draw_caption(image: Image, time: float, coverage: float) -> None:
     """Time, and the share that is covered as a bar and as a number, above the world."""
-    _text(image, f"{time:.1f} s", _MARGIN, 24)
-    left = _MARGIN + 76
-    right = _MARGIN + 146
+    write(image, f"{time:.1f} s", MARGIN, 24)
+    left = MARGIN + 76
+    right = MARGIN + 146
     cv2.rectangle(image, (left, 18), (right, 22), RULE, -1)
     if coverage > 0.0:
         cv2.rectangle(
@@ -278,17 +222,4 @@ def _draw_caption(image: Image, time: float, coverage: float) -> None:
             ROBOTS[1],
             -1,
         )
-    _text(image, f"{100.0 * coverage:.1f} %", right + 8, 24)
-
-
-def _text(image: Image, words: str, x: int, y: int) -> None:
-    """Words whose baseline begins at (x, y). Each letter is placed by its own width, so that no
-    letters touch.
-    """
-    for letter in words:
-        cv2.putText(image, letter, (x, y), *_FONT, TEXT, 1, cv2.LINE_AA)
-        x += _text_width(letter)
-
-
-def _text_width(words: str) -> int:
-    return sum(cv2.getTextSize(letter, *_FONT, 1)[0][0] for letter in words)
+    write(image, f"{100.0 * coverage:.1f} %", right + 8, 24)

@@ -10,12 +10,8 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled, Error
 from numpy.typing import NDArray
 
-from limslam_env.canvas import PAPER, TEXT
-
 if TYPE_CHECKING:
     import pygame
-
-_MESSAGE_HEIGHT = 22
 
 
 class Window:
@@ -24,9 +20,8 @@ class Window:
     One process has one window: where several are open, the last one to show a picture has it.
 
     It has a ``title``, and shows at most ``fps`` pictures a second: :meth:`show` waits until the
-    next one is due. The attribute ``message`` is a line that is shown over the lower margin of the
-    pictures, empty for none, and ``closed`` whether the window has been closed, by its user or by
-    :meth:`close`.
+    next one is due. The attribute ``closed`` says whether the window has been closed, by its user
+    or by :meth:`close`.
 
     Raises
     ------
@@ -37,7 +32,6 @@ class Window:
     def __init__(self, title: str, fps: float) -> None:
         self.title = title
         self.fps = fps
-        self.message = ""
         self._pygame = _load_pygame()
         self._clock = self._pygame.time.Clock()
         self._screen: pygame.Surface | None = None
@@ -67,7 +61,6 @@ class Window:
             self._screen.blit(
                 pygame.image.frombuffer(np.ascontiguousarray(image).tobytes(), size, "RGB"), (0, 0)
             )
-            self._write_message(self._screen)
             pygame.display.flip()
         self._listen()
         self._clock.tick(self.fps)
@@ -124,19 +117,6 @@ class Window:
             elif event.type == pygame.QUIT:
                 self.close()
                 return
-
-    def _write_message(self, screen: "pygame.Surface") -> None:
-        if not self.message:
-            return
-        pygame = self._pygame
-        pygame.font.init()
-        words = pygame.font.Font(None, 18).render(self.message, True, TEXT)  # noqa: FBT003 (pygame's call is positional)
-        width, height = screen.get_size()
-        if words.get_width() > width - 8:
-            words = pygame.transform.smoothscale_by(words, (width - 8) / words.get_width())
-        strip = pygame.Rect(0, height - _MESSAGE_HEIGHT, width, _MESSAGE_HEIGHT)
-        screen.fill(PAPER, strip)
-        screen.blit(words, words.get_rect(center=strip.center))
 
 
 def _load_pygame() -> Any:

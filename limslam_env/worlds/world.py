@@ -139,6 +139,12 @@ class World:
         # pickles are writable.
         return World, tuple(getattr(self, part.name) for part in fields(self))
 
+    def _repr_png_(self) -> bytes:
+        """The picture that a notebook shows."""
+        from limslam_env.worlds.picture import world_png
+
+        return world_png(self.edges, self.doors, self.obstacles, self.starts)
+
     def free_space(self, radius: float) -> FreeSpace:
         """The space where a disc of ``radius`` (m) fits; cached for later calls."""
         return _free_space(self, radius)

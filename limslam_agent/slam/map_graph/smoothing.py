@@ -31,6 +31,7 @@ _WALL_PRIOR = 0.01  # inverse variance of the turn, rad^2, and of the offset, m^
 # of the standard deviations of links, where more than the local trajectory follows from them
 _INFLATION = 1.5
 _BUNDLE_ITERATIONS = 6
+_FURTHER = 2  # iterations of a window whose earlier part is smooth
 # m, within which points of different visits are linked, at first and at last
 _RADIUS = 0.4
 _LAST_RADIUS = 0.2
@@ -56,6 +57,13 @@ def smooth_locally(keys: KeyPoses, trajectory: Trajectory) -> Trajectory:
         near = replace(walls, window=window, tolerance=widening * walls.tolerance)
         graph = _graph(keys, trajectory, walls=near, wall_factor=widening)
         trajectory = _chained(trajectory, graph)
+    return trajectory
+
+
+def smooth_further(keys: KeyPoses, trajectory: Trajectory) -> Trajectory:
+    """Smooth along the way from a trajectory of which all but the end is smooth."""
+    for _ in range(_FURTHER):
+        trajectory = _chained(trajectory, _graph(keys, trajectory, walls=keys.config.lines))
     return trajectory
 
 

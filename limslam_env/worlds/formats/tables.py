@@ -65,17 +65,26 @@ def keyed_world(table: dict[str, Any]) -> World:
     )
 
 
+def world_table(world: World) -> dict[str, Any]:
+    """The table of keys from which ``keyed_world`` makes an equal world."""
+    return {
+        "name": world.name,
+        "size": list(world.size),
+        "walls": world.walls.tolist(),
+        "obstacles": [polygon.tolist() for polygon in world.obstacles],
+        **{key: getattr(world, key).tolist() for key in ("doors", "starts", "loop")},
+    }
+
+
 def world_toml(world: World) -> str:
     """The text of a TOML file from which ``parse_world`` makes an equal world."""
     import tomli_w
 
-    name = tomli_w.dumps({"name": world.name}).rstrip("\n")
-    lines = [name, f"size = {list(world.size)}", *_listed("walls", world.walls.tolist())]
-    if world.obstacles:
-        lines += _listed("obstacles", [polygon.tolist() for polygon in world.obstacles])
-    for key in ("doors", "starts", "loop"):
-        rows = getattr(world, key).tolist()
-        lines += _listed(key, rows) if rows else []
+    table = world_table(world)
+    lines = [tomli_w.dumps({"name": table.pop("name")}).rstrip("\n")]
+    lines.append(f"size = {table.pop('size')}")
+    for key, rows in table.items():
+        lines += _listed(key, rows) if rows or key == "walls" else []
     return "\n".join(lines) + "\n"
 
 

@@ -187,3 +187,23 @@ def test_a_name_shows_the_runs_of_its_entry_and_a_run_opens_in_the_inspector(ope
     ]
     opened.page.click("#runs tbody tr:nth-child(4) a")
     opened.wait_for("document.title === 'run 3'")
+
+
+@needs_chromium
+def test_all_columns_fit_a_window_of_1280_pixels(opened):
+    opened.page.set_viewport_size({"width": 1280, "height": 800})
+    for table in ("entries", "runs", "pairs"):
+        frame = f"document.getElementById('{table}').parentElement"
+        assert opened.run(f"{frame}.scrollWidth <= {frame}.clientWidth"), table
+
+
+@needs_chromium
+def test_a_single_entry_has_no_comparisons(chromium, tmp_path):
+    entry = made_entry(tmp_path / "entries" / "one", MANIFEST.format(name="One"))
+    alone = made_results(tmp_path / "one", entry, {0: 120.0})
+    write_board(tmp_path / "alone.html", board([alone]))
+    chromium.open(tmp_path / "alone.html")
+    assert not chromium.page.is_visible("#pairs-section")
+    summary = chromium.page.inner_text("#summary")
+    assert summary.startswith("1 plan,")
+    assert "Intervals" not in summary

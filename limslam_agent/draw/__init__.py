@@ -1,0 +1,1 @@
+"""One HTML page on which a world is drawn."""
