@@ -7,7 +7,7 @@ import. Nothing in it gives access to the ground truth.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, NotRequired, Self, TypedDict
@@ -250,11 +250,9 @@ class RobotSpec:
     def __post_init__(self) -> None:
         for name, (low, high, unit) in _LIMITS.items():
             check_number(f"a robot's {name}", getattr(self, name), low, high, unit)
-        object.__setattr__(self, "beams", tuple(self.beams))
+        object.__setattr__(self, "beams", tuple(map(_beam, self.beams)))
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
-        for beam in self.beams:
-            _check_beam(beam)
 
     @cached_property
     def beam_origins(self) -> FloatArray:
@@ -374,20 +372,22 @@ class RobotSpec:
             If the text is not such a robot.
         """
         try:
-            values = json.loads(text)
-            beams = tuple(SensorSpec(**beam) for beam in values.pop("beams"))
-            return cls(**values, beams=beams)
-        except (TypeError, KeyError, AttributeError, json.JSONDecodeError, RecursionError) as error:
+            return cls(**json.loads(text))
+        except (TypeError, json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"not a robot: {error}") from error
 
 
-def _check_beam(beam: object) -> None:
-    if not isinstance(beam, SensorSpec):
-        kind = type(beam).__name__
-        raise TypeError(
-            "each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type "
-            f"{kind}"
-        )
+def _beam(beam: object) -> SensorSpec:
+    """A beam, or the one in a table of its settings."""
+    if isinstance(beam, SensorSpec):
+        return beam
+    known = {part.name for part in fields(SensorSpec)}
+    if isinstance(beam, Mapping) and {"x", "y", "angle"} <= set(beam) <= known:
+        return SensorSpec(**beam)
+    raise TypeError(
+        "each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type "
+        f"{type(beam).__name__}"
+    )
 
 
 def _read_only(values: list[Any]) -> FloatArray:

@@ -144,7 +144,7 @@ def draw(
     world: Annotated[
         str | None,
         typer.Argument(
-            metavar="[FILE]",
+            metavar="FILE",
             help="A world file of any kind, or the name of a shipped world.",
             show_default="an empty plan",
         ),

@@ -18,7 +18,7 @@ import numpy as np
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.policy import Policy
 from limslam_agent.policies.target_policy import TargetPolicy
-from limslam_agent.runs.actor_checks import is_policy
+from limslam_agent.runs.actor_checks import acts_on_belief
 from limslam_env.interface import RobotSpec
 
 _INSTALLED = ("limslam_agent", "limslam_env")
@@ -221,7 +221,7 @@ def _maker(module: ModuleType, path: Path, name: str) -> Callable[[dict[str, Any
 
 def _checked(policy: Any, label: str) -> Policy:
     try:
-        is_one = is_policy(policy)
+        is_one = acts_on_belief(policy)
     except ValueError as error:
         raise PolicyFileError(f"{label}: {error}") from error
     if not is_one:

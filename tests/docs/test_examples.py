@@ -196,7 +196,7 @@ def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
 
 NEEDS = {
     "rl_sb3": ["stable_baselines3"],
-    "rl_batch": ["stable_baselines3"],
+    "rl_batch": ["stable_baselines3", "sb3_contrib"],
     "rl_recurrent": ["sb3_contrib"],
     "rl_two_robots": ["stable_baselines3", "supersuit"],
     "rl_cleanrl": ["torch"],

@@ -395,7 +395,10 @@ MAKERS = {
             {"noise": 0.02},
             r"noise must be a NoiseConfig, such as NoiseConfig\(sensor_noise=\.\.\.\), not 0\.02",
         ),
-        ({"rewards": {"step": -0.1}}, r"rewards must be a RewardConfig, such as RewardConfig\("),
+        ({"rewards": -0.1}, r"rewards must be a RewardConfig, such as RewardConfig\("),
+        ({"rewards": {"stop": -0.1}}, r"rewards has no setting 'stop'; there are new_area, step"),
+        ({"robot": {"beams": [{"x": 0.0}]}}, r"robot: each beam of a robot must be a SensorSpec"),
+        ({"noise": {"dropout": 2}}, r"dropout must be a number from 0 to 1"),
         (
             {"robot": "e_puck"},
             r"robot must be a RobotSpec, such as RobotSpec\(radius=\.\.\.\), not 'e_puck'",
