@@ -148,7 +148,7 @@ def main() -> None:
     def act(seen: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             action: Tensor = agent.actor(torch.as_tensor(seen))
-        return action.clamp(-1.0, 1.0).numpy()
+        return np.asarray(action.clamp(-1.0, 1.0))
 
     plans = range(1000, 1000 + options.plans)  # the plans of training are those of 0 to 255
     for name, actor, wrap in (
