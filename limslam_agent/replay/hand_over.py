@@ -1,10 +1,11 @@
 """The estimate while a log is replayed: by the filter, and by the online graph once the filter is
-lost, or doubtful although the graph has recognised a place.
+lost or doubtful.
 
 The filter is far better than the graph where its model holds: walls are straight, beams are short,
-and odometry is as noisy as stated. Where its model does not hold, it is doubtful soon, and once it
-is lost in a log of odometry poses, it does not find its place again. The online graph goes on then.
-Up to that event, the graph has processed the same events beside the filter.
+and odometry is as noisy as stated. Where its model does not hold, it is doubtful within metres. Its
+path is bent soon, and once it is lost in a log of odometry poses, it does not find its place again.
+The online graph goes on then. Up to that event, the graph has processed the same events beside the
+filter.
 """
 
 import time
@@ -144,7 +145,6 @@ class LogEstimate:
         return pose, covariance, self._odometry, level, spent, job
 
     def _is_graph_better(self, graph: "OnlineGraph") -> bool:
-        """Whether the filter is lost, or doubtful where the graph has recognised a place."""
+        """Whether the filter is lost, or doubtful although the graph has a local map."""
         level = self._mapper.statuses[0].level
-        has_loops = graph.places is not None and bool(graph.places.loops)
-        return level == "lost" or (level == "unsure" and has_loops)
+        return level == "lost" or (level == "unsure" and graph.places is not None)
