@@ -209,11 +209,11 @@ AGENT = {
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "endings", "logs", "mapping", "output", "policies", "replay"),
+        *agent("config", "endings", "logs", "mapping", "output", "places", "policies", "replay"),
     },
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "live", "logs", "output.formats", "policies"),
+        *agent("config", "grid", "live", "logs", "output.formats"),
     },
     "limslam_agent.video": {
         *WHAT_AN_AGENT_MAY_KNOW,

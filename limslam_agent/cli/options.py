@@ -328,6 +328,11 @@ class LiveOptions(Bounded):
     preset: Preset = DEFAULT_PRESET
     policy: Annotated[str, Help(AGENT, POLICIES)] = "frontier"
     until: Until = "walls"
+    map: Map = None
+    stay: Annotated[
+        bool,
+        Help(AGENT, "When nothing is left to explore, wait for orders instead of ending."),
+    ] = False
     watch: _Watch = False
     out: _Out = None
     force: _Force = False
