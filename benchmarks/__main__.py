@@ -163,6 +163,58 @@ def scoreboard(
     return _end(summary, [*lines, "", f"scoreboard: {counts}; {out / FILE}"])
 
 
+@dataclass(frozen=True)
+class PeersOptions:
+    """The options of the maps of exploration papers."""
+
+    maps: Annotated[
+        str,
+        Help(
+            None,
+            'Patterns of the names of maps, with commas: "*-img_[1-7]" are those of the table, "*" '
+            "are all.",
+        ),
+    ] = "*-img_1"
+    beams: Annotated[str, Help(None, "Numbers of beams, with commas. Six are the robot's own.")] = (
+        "360,6"
+    )
+    policies: Annotated[str, Help(None, "Policies, with commas: names, or FILE.py:CLASS.")] = (
+        "frontier"
+    )
+    noise: Annotated[
+        float, Help(None, "Standard deviation of the ranges, m. Poses are known without it.")
+    ] = 0.0
+    robots: Annotated[int, Help(None, "Number of robots that explore together.")] = 1
+
+
+@app.command()
+@takes(PeersOptions)
+def peers(
+    data: Annotated[Path, typer.Option(help="Folder of the maps of exploration papers.")],
+    workers: Workers = None,
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("runs/peers"),
+    **told: Any,
+) -> int:
+    """Explore the maps of exploration papers, in the measure of these papers. The same command goes
+    on after a kill.
+    """
+    from benchmarks.peers import Entrant, maps_in, run_peers
+
+    options = with_told(PeersOptions(), told)
+    counts = _names(options.beams)
+    if not all(count.isdecimal() for count in counts):
+        raise ValueError(f"--beams: whole numbers are needed, not {options.beams!r}")
+    lines, summary = run_peers(
+        maps_in(data, _names(options.maps)),
+        [Entrant(policy, int(count)) for policy in _names(options.policies) for count in counts],
+        out,
+        _processes(workers),
+        noise=options.noise,
+        robots=options.robots,
+    )
+    return _end(summary, [*lines, "", f"peers: {summary.words}; {out}"])
+
+
 @app.command()
 def table(folders: Folders) -> None:
     """Print medians with intervals, as the paper's grid."""

@@ -1,5 +1,6 @@
 """Settings of the documentation site: ``sphinx-build -W docs docs/_build``."""
 
+import os
 import re
 import subprocess
 import sys
@@ -91,12 +92,13 @@ def rewrite_links(text: str, folder: Path) -> str:
             return f"]({PAGES_ELSEWHERE[outside]}{'#' * bool(anchor)}{anchor})"
         if path.is_relative_to(FOLDER) and path.suffix == ".md":
             return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
-        if path.is_relative_to(FOLDER):
-            return f"](/{path.relative_to(FOLDER).as_posix()})"
+        if path.is_relative_to(FOLDER) or (outside and path.is_file()):
+            # A file outside of the site, such as an example, becomes a download.
+            return f"](/{Path(os.path.relpath(path, FOLDER)).as_posix()})"
         return f"]({OUTSIDE})"
 
     text = re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
-    # Files and folders outside of the site, such as the examples, are named and not linked.
+    # Folders outside of the site are named and not linked.
     return re.sub(rf"\[([^\[\]]*)\]\({OUTSIDE}\)", r"\1", text)
 
 

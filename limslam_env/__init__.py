@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         LimSlamVectorEnv,
         parallel_vector_env,
     )
-    from limslam_env.rendering.overlay import Overlay
+    from limslam_env.overlay import Overlay
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
     from limslam_env.worlds.world import World
@@ -64,7 +64,7 @@ _LAZY_MODULES = {
     "LimSlamParallelEnv": "envs.parallel_env",
     "LimSlamParallelVectorEnv": "envs.vector_env",
     "LimSlamVectorEnv": "envs.vector_env",
-    "Overlay": "rendering.overlay",
+    "Overlay": "overlay",
     "World": "worlds.world",
     "aec_env": "envs.parallel_env",
     "load_world": "worlds.formats.loading",
@@ -72,11 +72,11 @@ _LAZY_MODULES = {
     "parallel_vector_env": "envs.vector_env",
 }
 
-_WORLD_ARGUMENTS = {
+_WORLD_ARGUMENTS: dict[str, dict[str, str | None]] = {
     "Env1": {"world": "env1"},
     "Env2": {"world": "env2"},
     "Env3": {"world": "env3"},
-    "World": {},
+    "World": {"world": None},
     "Random": {"world": "random"},
 }
 

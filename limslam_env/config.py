@@ -179,6 +179,7 @@ class RewardConfig:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             check_number(f"the reward {name}", value, -_LARGEST_REWARD, _LARGEST_REWARD)
+            object.__setattr__(self, name, float(value))
 
     def of_step(self, new_area: float, contact: bool) -> float:
         """The reward of a step in which ``new_area`` (m^2) was seen for the first time."""

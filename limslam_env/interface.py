@@ -7,7 +7,7 @@ import. Nothing in it gives access to the ground truth.
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from typing import Any, Literal, NotRequired, Self, TypedDict
@@ -38,6 +38,9 @@ LARGEST_CONE = 0.25 * math.pi
 
 LARGEST_RANGE = 1000.0
 """Longest range of a beam, m. A larger number is in another unit."""
+
+MOST_BEAMS = 4096
+"""Most beams of a ring or a laser scanner."""
 
 MOST_STEPS = 1_000_000
 """Largest number of steps between two measurements of a beam."""
@@ -191,6 +194,18 @@ def beams_on_rim(
     )
 
 
+def degrees_around(count: int) -> tuple[float, ...]:
+    """Directions of ``count`` beams all around a robot, deg: the first ahead, counter-clockwise.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than 1 or more than 4096 beams.
+    """
+    check_count("the number of beams all around a robot", count, MOST_BEAMS)
+    return tuple(360.0 * number / count for number in range(count))
+
+
 PAPER_BEAMS_DEG = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
 """The paper's six beams. The front pair fills no buffer and only avoids collisions."""
 
@@ -235,11 +250,9 @@ class RobotSpec:
     def __post_init__(self) -> None:
         for name, (low, high, unit) in _LIMITS.items():
             check_number(f"a robot's {name}", getattr(self, name), low, high, unit)
-        object.__setattr__(self, "beams", tuple(self.beams))
+        object.__setattr__(self, "beams", tuple(map(_beam, self.beams)))
         if not self.beams:
             raise ValueError("a robot needs at least one beam")
-        for beam in self.beams:
-            _check_beam(beam)
 
     @cached_property
     def beam_origins(self) -> FloatArray:
@@ -324,6 +337,27 @@ class RobotSpec:
         # A copy makes its own arrays: unpickled ones could be written to.
         return type(self), tuple(getattr(self, part.name) for part in fields(self))
 
+    @classmethod
+    def lidar(cls, beams: int = 360, max_range: float = 1.5, **others: Any) -> Self:
+        """A robot with a turning laser scanner: ``beams`` that start at its middle and look all
+        around, the first ahead, counter-clockwise, up to ``max_range``, m.
+
+        ``others`` are further settings of the robot, such as its radius.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer than 1 or more than 4096 beams, or a number is out of bounds.
+
+        Examples
+        --------
+        >>> from limslam_env import RobotSpec
+        >>> robot = RobotSpec.lidar(beams=360, max_range=4.0, radius=0.08)
+        >>> len(robot.beams), robot.reach
+        (360, 4.0)
+        """
+        return cls(beams=beams_on_rim(degrees_around(beams), 0.0, max_range=max_range), **others)
+
     def to_json(self) -> str:
         """The robot as JSON, for files."""
         return json.dumps(asdict(self))
@@ -338,20 +372,22 @@ class RobotSpec:
             If the text is not such a robot.
         """
         try:
-            values = json.loads(text)
-            beams = tuple(SensorSpec(**beam) for beam in values.pop("beams"))
-            return cls(**values, beams=beams)
-        except (TypeError, KeyError, AttributeError, json.JSONDecodeError, RecursionError) as error:
+            return cls(**json.loads(text))
+        except (TypeError, json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"not a robot: {error}") from error
 
 
-def _check_beam(beam: object) -> None:
-    if not isinstance(beam, SensorSpec):
-        kind = type(beam).__name__
-        raise TypeError(
-            "each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type "
-            f"{kind}"
-        )
+def _beam(beam: object) -> SensorSpec:
+    """A beam, or the one in a table of its settings."""
+    if isinstance(beam, SensorSpec):
+        return beam
+    known = {part.name for part in fields(SensorSpec)}
+    if isinstance(beam, Mapping) and {"x", "y", "angle"} <= set(beam) <= known:
+        return SensorSpec(**beam)
+    raise TypeError(
+        "each beam of a robot must be a SensorSpec, as beams_on_rim makes them, not of type "
+        f"{type(beam).__name__}"
+    )
 
 
 def _read_only(values: list[Any]) -> FloatArray:

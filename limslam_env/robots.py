@@ -7,11 +7,7 @@ Each is a function, so that its numbers can be changed: ``ring(64, max_range=3.0
 import math
 from collections.abc import Callable
 
-from limslam_env.geometry.numbers import check_count
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
-
-MOST_BEAMS = 4096
-"""Most beams of a ring."""
+from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim, degrees_around
 
 
 def paper() -> RobotSpec:
@@ -54,11 +50,9 @@ def ring(num_beams: int = 36, max_range: float = 1.5) -> RobotSpec:
     """The paper's body with ``num_beams`` all around it, the first ahead, counter-clockwise;
     ``max_range`` in m.
     """
-    if num_beams < 1:
-        raise ValueError(f"a ring needs at least one beam, not {num_beams}")
-    check_count("the number of beams of a ring", num_beams, MOST_BEAMS)
-    degrees = tuple(360.0 * number / num_beams for number in range(num_beams))
-    return RobotSpec(beams=beams_on_rim(degrees, RobotSpec().radius, max_range=max_range))
+    return RobotSpec(
+        beams=beams_on_rim(degrees_around(num_beams), RobotSpec().radius, max_range=max_range)
+    )
 
 
 ROBOTS: dict[str, Callable[[], RobotSpec]] = {
@@ -66,5 +60,6 @@ ROBOTS: dict[str, Callable[[], RobotSpec]] = {
     "e-puck": e_puck,
     "four-beam-drone": four_beam_drone,
     "ring": ring,
+    "lidar": RobotSpec.lidar,
 }
 """The robots by name."""

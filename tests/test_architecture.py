@@ -36,6 +36,7 @@ ENV = {
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
     "limslam_env.canvas": {GEOMETRY},
+    "limslam_env.overlay": {GEOMETRY},
     "limslam_env.toml_text": set(),
     "limslam_env.config": {GEOMETRY},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
@@ -63,7 +64,10 @@ ENV = {
             "simulation",
         ),
     },
-    "limslam_env.rendering": {*WHAT_AN_AGENT_MAY_KNOW, *env("canvas", "worlds", "simulation")},
+    "limslam_env.rendering": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *env("canvas", "overlay", "worlds", "simulation"),
+    },
     "limslam_env.envs": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env(
@@ -74,6 +78,7 @@ ENV = {
             "worlds.generation",
             "simulation",
             "batch",
+            "overlay",
             "rendering",
         ),
     },
@@ -158,7 +163,7 @@ AGENT = {
     },
     "limslam_agent.wrappers": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *env("compilation"),
+        *env("compilation", "overlay"),
         *agent("belief", "config", "grid", "mapping", "slam.batch"),
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
@@ -204,11 +209,11 @@ AGENT = {
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "endings", "logs", "mapping", "output", "policies", "replay"),
+        *agent("config", "endings", "logs", "mapping", "output", "places", "policies", "replay"),
     },
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "live", "logs", "output.formats", "policies"),
+        *agent("config", "grid", "live", "logs", "output.formats"),
     },
     "limslam_agent.video": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -250,6 +255,7 @@ BENCHMARKS = {
     "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
     "benchmarks.growth": set(),
+    "benchmarks.peers": {"benchmarks.suite"},
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
@@ -257,6 +263,7 @@ BENCHMARKS = {
         "benchmarks.scoreboard",
         "benchmarks.speed",
         "benchmarks.growth",
+        "benchmarks.peers",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -24,7 +24,7 @@ from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
 from limslam_agent.output.provenance import commit, versions
 from limslam_agent.policies.policy import Policy
-from limslam_agent.runs.actor_checks import is_policy
+from limslam_agent.runs.actor_checks import acts_on_belief
 from limslam_agent.runs.actors import ActorPolicy
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.policy_file import is_termination, made_by_file, naming_lines_of
@@ -248,7 +248,7 @@ def _policies(job: Job, config: RunConfig) -> list[Policy] | None:
 
 def _policy(made: Any, uses: str) -> Policy:
     """What a Python class makes as a policy, if it uses what the manifest says."""
-    found = "belief" if is_policy(made) else "readings"
+    found = "belief" if acts_on_belief(made) else "readings"
     if found != uses:
         raise ValueError(
             f"{type(made).__name__} acts on {found}, and the manifest says that it uses {uses}"

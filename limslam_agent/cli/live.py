@@ -1,6 +1,6 @@
 """``limslam live``: a live robot explores, and its folder."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,10 +15,12 @@ from limslam_agent.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
+    from limslam_agent.live.orders import Orders
     from limslam_agent.live.protocol import Hello
     from limslam_agent.live.session import Session, Wired
     from limslam_agent.live.transports import Transport
     from limslam_agent.mapping.team import LimSlamAgent
+    from limslam_agent.places.saved_map import SavedMap
     from limslam_env.interface import RobotSpec
 
 
@@ -32,6 +34,7 @@ def live(
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what
     it has seen.
     """
+    from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.runs.policies import check_belief_policy
 
     given = Given.read(config, {**told, "robot": robot})
@@ -56,11 +59,14 @@ def live(
     agent = exploring_agent(given, options)
     check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
+    prior_map = None if options.map is None else read_saved_map(options.map)
     with _wired(options, given.replay_robot(), ros_arguments or []) as wired:
-        carry_out(options, agent, wired)
+        carry_out(options, agent, wired, prior_map)
 
 
-def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> None:
+def carry_out(
+    options: LiveOptions, config: "AgentConfig", wired: "Wired", prior_map: "SavedMap | None"
+) -> None:
     """Drive a robot, write the folder of the session, and print its summary."""
     from limslam_agent.live.folder import session_lines, write_session
     from limslam_agent.live.link import NoRobotError
@@ -81,10 +87,15 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
         left = [f"what the robot has sent is in {copy}: limslam replay draws the map"]
         with kept(recording, copy, lambda: warn(left)) as save_if_due:
             policies = policies_by_belief(options.policy, recording.robot, config, robots=1, seed=0)
-            policy = wired.policy(policies[0] if policies else None, config, recording.robot)
-            agent = LimSlamAgent(recording.robot, config, policy)
-            with _display(options, agent, wired, save_if_due) as watch:
-                session = Session(wired.link, hello, agent, recording, watch, wired.obey)
+            policy = policies[0] if policies else None
+            agent = LimSlamAgent(recording.robot, config, policy, prior_map=prior_map)
+            if options.stay:
+                wired.orders.when_explored = "pause"
+            with (
+                _display(options, agent, wired, save_if_due) as watch,
+                _listening(wired.orders) as listen,
+            ):
+                session = Session(wired.link, hello, agent, recording, watch, wired.orders, listen)
                 with naming_lines_of(options.policy):
                     reason = session.drive(options.max_time, options.patience)
             if not len(recording):
@@ -92,7 +103,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
                     f"the robot {hello.name} has said hello, but has sent no telemetry that fits it"
                 )
             typer.echo("smoothing   and writing the map", err=True)
-            result = write_session(folder.beside, session, f"live {hello.name}", reason)
+            result = write_session(folder.beside, session, f"live {hello.name}", reason, prior_map)
             write_live_settings(folder.beside, options, config)
     warn(list(recording.log().readings_notes))
     say(*session_lines(result), f"results     {folder.target}")
@@ -162,12 +173,14 @@ def _display(
     """The progress bar of a session, and its page in a browser; yields what is called after each
     decision.
     """
-    from limslam_agent.inspect.live_page import Follower, live_page
+    from limslam_agent.inspect.live_page import Controls, Follower, live_page
 
     with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
         follower = None
+        told = list[str]()
         if options.watch:
-            page = opened.enter_context(live_page(f"live, {wired.place}"))
+            controls = Controls(wired.orders.obey, lambda: _shown(wired.orders))
+            page = opened.enter_context(live_page(f"live, {wired.place}", controls=controls))
             typer.echo(f"watch       {page.address}", err=True)
             follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
 
@@ -177,16 +190,44 @@ def _display(
             newest = session.recording.newest
             seconds = 0.0 if newest is None else newest.time
             walls = f"{len(agent.slam.segments)} walls"
-            advance(
-                seconds,
-                f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost",
-            )
+            lost = f"{session.recording.lost} lines lost"
+            advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.state}  {lost}")
+            while len(told) < len(agent.mapper.places.events):
+                told.append(agent.mapper.places.events[len(told)].record["event"])
+                say(f"place       {told[-1]} after {seconds:.1f} s", err=True)
             if follower is not None:
-                follower.note(agent.mapper, [agent.policy], seconds)
+                follower.note(agent.mapper, [session.policy], seconds)
 
         yield watch
         if follower is not None:
             follower.end()
+
+
+@contextmanager
+def _listening(orders: "Orders") -> "Iterator[Callable[[], None]]":
+    """Takes orders by keys, and prints what becomes of all orders; yields what does both."""
+    from limslam_agent.live.keys import KEYS, typed_keys
+
+    printed = 0
+    with typed_keys() as typed:
+        if typed is not None:
+            typer.echo(f"keys        {KEYS}", err=True)
+
+        def listen() -> None:
+            nonlocal printed
+            if typed is not None:
+                orders.press(typed())
+            for answer in orders.answers[printed:]:
+                printed += 1
+                say(f"order       {answer}", err=True)
+
+        yield listen
+        listen()
+
+
+def _shown(orders: "Orders") -> dict[str, Any]:
+    """What the page shows of the orders."""
+    return {"paused": orders.is_paused, "answer": (orders.answers or [""])[-1]}
 
 
 def _warn_about(hello: "Hello") -> None:

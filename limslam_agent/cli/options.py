@@ -38,7 +38,7 @@ _ODOMETRY = "Odometry"
 _SCORE = "Score"
 _CONNECTION = "Connection and robot"
 
-_ROBOTS = "paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings."
+_ROBOTS = "paper, e-puck, four-beam-drone, ring, lidar, or a TOML file with the robot's settings."
 _AssumedStd = Annotated[Std, Help(AGENT, "Assumed standard deviation of the ranges, m.")]
 _Watch = Annotated[
     bool,
@@ -328,6 +328,11 @@ class LiveOptions(Bounded):
     preset: Preset = DEFAULT_PRESET
     policy: Annotated[str, Help(AGENT, POLICIES)] = "frontier"
     until: Until = "walls"
+    map: Map = None
+    stay: Annotated[
+        bool,
+        Help(AGENT, "When nothing is left to explore, wait for orders instead of ending."),
+    ] = False
     watch: _Watch = False
     out: _Out = None
     force: _Force = False

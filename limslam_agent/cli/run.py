@@ -52,9 +52,7 @@ def play(
     *,
     force: Overwrite = False,
 ) -> None:
-    """Drive a robot with the keyboard, in a window that shows the truth beside the robot's map. The
-    drive is kept as limslam run --policy keyboard keeps it.
-    """
+    """Drive a robot with the keyboard, beside what it maps, and keep the run."""
     told = {"world": world, "noise": noise, "preset": preset, "seed": seed}
     given = Given.read(None, {**told, "policy": "keyboard", "out": out, "force": force})
     carry_out(given, run_options(given))

@@ -327,7 +327,9 @@ def write_live_settings(folder: Path, options: LiveOptions, agent: "AgentConfig"
     """
     from limslam_agent.output.finished_run import LOG
 
-    told: Table = {"log": LOG, "preset": options.preset, "noise": options.noise}
+    told = _option_table(
+        {"log": LOG, "preset": options.preset, "noise": options.noise, "map": options.map}
+    )
     table = {**told, "agent": _agent_table(agent, options.noise)}
     write_toml(
         folder / FILE,

@@ -1,4 +1,4 @@
-"""``limslam worlds``: list the shipped worlds, check a world file, convert one, draw one."""
+"""``limslam worlds``: list the shipped worlds, check a world file, convert some, draw one."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -107,13 +107,44 @@ def convert(
     say(f"world       {target}")
 
 
+@worlds.command("import")
+def import_maps(
+    folder: Annotated[
+        Path, typer.Argument(metavar="DIR", help="A folder of pictures (.png, .pgm, .jpg, .bmp).")
+    ],
+    metres_per_pixel: Annotated[float, typer.Option(help="Side of a pixel, m.")],
+    out: Annotated[Path, typer.Option(help="Folder of the worlds.")] = Path("worlds"),
+    *,
+    force: Overwrite = False,
+) -> None:
+    """Write each picture of a folder as a world file, such as the maps of exploration papers, which
+    say where robots start.
+    """
+    from limslam_agent.output.atomic_write import check_target
+    from limslam_env.messages import counted
+    from limslam_env.worlds.formats.loading import load_world, write_world
+    from limslam_env.worlds.formats.pictures import SUFFIXES
+
+    pictures = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
+    if not pictures:
+        raise ValueError(f"{folder}: no pictures there ({', '.join(SUFFIXES)})")
+    places = [load_world(path, metres_per_pixel=metres_per_pixel) for path in pictures]
+    targets = [out / f"{path.stem}.toml" for path in pictures]
+    for target in targets:
+        check_target(target, force=force)
+    out.mkdir(parents=True, exist_ok=True)
+    for place, target in zip(places, targets, strict=True):
+        write_world(place, target)
+    say(f"worlds      {counted(len(targets), 'world')} in {out}")
+
+
 @worlds.command()
 @takes(PlanOptions)
 def draw(
     world: Annotated[
         str | None,
         typer.Argument(
-            metavar="[FILE]",
+            metavar="FILE",
             help="A world file of any kind, or the name of a shipped world.",
             show_default="an empty plan",
         ),

@@ -128,6 +128,8 @@ def _converted_table(kind: type[Any], table: Any, where: str, current: Table) ->
 def _converted(hint: Any, value: Any, where: str, current: Any = None) -> Any:
     """A TOML value as the type that a hint names; ``current`` is the setting's value so far."""
     kinds = get_args(hint)
+    if value is None and type(None) in kinds:
+        return None
     if is_dataclass(current):
         return updated(current, value, where)
     if is_dataclass(hint) and isinstance(hint, type):

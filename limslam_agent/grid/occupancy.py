@@ -5,14 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
 from limslam_agent.kernels.tables import Cells
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.numbers import check_poses
-from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32
@@ -169,27 +167,6 @@ class OccupancyGrid:
         for row, number in np.ndindex(poses.shape[:2]):
             self.update(poses[row, number], robot, ranges[row, number], drawn[number][row])
 
-    def bend(self, anchors: FloatArray, motions: FloatArray) -> None:
-        """Move each cell with what lies around the nearest of some points (m, 2), by the rigid
-        motions (m, 3) there.
-        """
-        view = self.view
-        before = np.column_stack((anchors, np.zeros(len(anchors))))
-        centres = view.centres(np.argwhere(~view.unknown))
-        known = _moved_with_nearest(centres, before, before + motions) / view.cell
-        # A cell at the border may leave the grid.
-        reached = np.concatenate((known, [self._known_low, self._known_high]))
-        low: IntArray = np.floor(reached.min(axis=0)).astype(np.int64)
-        high: IntArray = np.ceil(reached.max(axis=0)).astype(np.int64)
-        columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-        places = np.column_stack((columns.ravel(), rows.ravel()))
-        points = _moved_with_nearest((places + 0.5) * view.cell, before + motions, before)
-        values = view.values_at(points)
-        self._grow(low, high)
-        column, row = (places - self._cells.corner).T
-        self._cells.values[row, column] = values
-        self._know(low, high)
-
     def _know(self, low: IntArray, high: IntArray) -> None:
         """Take the cells from ``low`` to before ``high`` (2,) for known ones."""
         is_first = self._known_low.tolist() == self._known_high.tolist()
@@ -219,15 +196,6 @@ class OccupancyGrid:
         """Hold other cells (rows, columns), from a column and row (2,) on."""
         stamps = np.zeros(values.shape, dtype=np.int32)
         self._cells = self._cells._replace(values=values, stamps=stamps, corner=corner)
-
-
-def _moved_with_nearest(points: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
-    """Points (n, 2), each of which moves with the nearest of some poses (m, 3) from before to
-    after.
-    """
-    nearest = cKDTree(before[:, :2]).query(points)[1]
-    there = compose(inverse(before[nearest]), np.column_stack((points, np.zeros(len(points)))))
-    return np.asarray(compose(after[nearest], there)[:, :2])
 
 
 def drawn_grid(

@@ -1,11 +1,15 @@
 """Shows a recording in a browser while it grows: a server for this computer alone."""
 
+import hmac
+import json
 import re
+import secrets
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 from typing import Any
@@ -40,8 +44,20 @@ read this one.
 _NUMBER = re.compile(r"[0-9]{0,18}")
 """The number of a state in a request; empty for none."""
 
+_LONGEST_ORDER = 1000
+"""Most bytes of an order."""
+
 _PATIENCE = 1.0
 """Seconds after which a page that waits for a new state is told that there is none."""
+
+
+@dataclass(frozen=True)
+class Controls:
+    """How a page gives orders to a robot."""
+
+    # Carries out an order of the page, in another thread. Raises a ValueError for what is none.
+    obey: Callable[[Mapping[str, Any]], None]
+    state: Callable[[], Mapping[str, Any]]  # What the page shows of the orders
 
 
 class LivePage:
@@ -53,11 +69,21 @@ class LivePage:
         Where the page is.
     is_over
         Whether no other state will come.
+    controls
+        How the page gives orders, if it may give any. Only pages whose address has ``token`` may.
     """
 
-    def __init__(self, title: str, address: str, edges: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        title: str,
+        address: str,
+        edges: FloatArray | None = None,
+        controls: Controls | None = None,
+    ) -> None:
         self.title = title
-        self.address = address
+        self.controls = controls
+        self.token = secrets.token_urlsafe(16)
+        self.address = address if controls is None else f"{address}?token={self.token}"
         self.is_over = False
         self._fixed = {} if edges is None else {"edges": edges.astype(np.float32)}
         self._changed = threading.Condition()
@@ -152,12 +178,15 @@ class Follower:
 
 
 @contextmanager
-def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]:
+def live_page(
+    title: str, edges: FloatArray | None = None, controls: Controls | None = None
+) -> Iterator[LivePage]:
     """A page that is served on a free port while the context lasts, with the true walls (k, 4), m,
-    if known.
+    if known, and the means to give orders if there are any.
     """
     with _Server((HOST, 0), _Handler) as server:
-        server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)
+        address = f"http://{HOST}:{server.server_port}/"
+        server.page = page = LivePage(title, address, edges, controls)
         thread = threading.Thread(
             target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
@@ -184,7 +213,7 @@ class _Server(ThreadingHTTPServer):
 
 class _Handler(BaseHTTPRequestHandler):
     """Answers the page: the page itself, and ``/recording?N``, the latest state unless its number
-    is N.
+    is N. ``/order`` takes the orders of a page that knows the token.
     """
 
     server: _Server
@@ -203,13 +232,39 @@ class _Handler(BaseHTTPRequestHandler):
             # Asked before the state: what comes after the last one is nothing.
             is_over = page.is_over
             version, text = page.newest(int(known or 0))
+            orders = None if page.controls is None else page.controls.state()
             self._send(
                 text,
                 "text/plain; charset=ascii",
-                {"X-State": str(version), "X-Over": str(int(is_over))},
+                {
+                    "X-State": str(version),
+                    "X-Over": str(int(is_over)),
+                    "X-Orders": json.dumps(orders),
+                },
             )
         else:
             self.send_error(404)
+
+    def do_POST(self) -> None:
+        """Take an order."""
+        page = self.server.page
+        token = self.headers.get("X-Token", "")
+        size = self.headers.get("Content-Length", "")
+        is_known = hmac.compare_digest(token.encode(), page.token.encode())
+        if not _OWN_HOST.fullmatch(self.headers.get("Host", "")) or not is_known:
+            self.send_error(403)
+        elif page.controls is None or self.path != "/order":
+            self.send_error(404)
+        elif not _NUMBER.fullmatch(size) or not 0 < int(size or 0) <= _LONGEST_ORDER:
+            self.send_error(400)
+        else:
+            try:
+                order = json.loads(self.rfile.read(int(size)))
+                page.controls.obey(order if isinstance(order, dict) else {})
+            except (ValueError, RecursionError):  # no JSON, or no order
+                self.send_error(400)
+            else:
+                self._send("", "text/plain; charset=ascii")
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 (the name of the base class)
         """Say nothing on the screen."""

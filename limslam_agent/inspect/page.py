@@ -16,7 +16,7 @@ from limslam_agent.inspect.columns import packed
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.video.narration import LESSONS
 
-SCRIPTS = ("data.js", "scene.js", "panels.js", "plots.js", "app.js")
+SCRIPTS = ("data.js", "scene.js", "panels.js", "plots.js", "orders.js", "app.js")
 """The program, in the order in which its parts are loaded."""
 
 _HERE = "limslam_agent.inspect"
@@ -40,7 +40,7 @@ EXPLANATIONS = {
     ),
     "handover": (
         "The online graph goes on.",
-        "The filter is lost. The replay's path is that of the graph from here on, not shown here.",
+        "The filter is lost or doubtful. The replay's path is the graph's from here on, not shown.",
     ),
     "kidnap": (
         "The robot is carried to another place.",

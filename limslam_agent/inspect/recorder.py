@@ -174,6 +174,7 @@ class Recorder:
             "radius": robot.radius,
             "cell": mapper.config.grid.cell,
             "quantum": self.quantum,
+            "map": mapper.map_number,
             "steps": len(self._time),
             "stride": self._stride,
             "beams": [

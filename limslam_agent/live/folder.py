@@ -6,18 +6,22 @@ from typing import Any
 from limslam_agent.live.session import Session
 from limslam_agent.output.finished_run import LOG
 from limslam_agent.output.summary import record_summary, replay_summary
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.replay import replay_log, write_replay
 
 
-def write_session(folder: Path, session: Session, title: str, reason: str) -> dict[str, Any]:
+def write_session(
+    folder: Path, session: Session, title: str, reason: str, prior_map: SavedMap | None
+) -> dict[str, Any]:
     """Write log, map, trajectories, picture and result of a session that has ended for a reason,
-    into an existing folder. Returns the content of ``result.json``.
+    into an existing folder. ``prior_map`` is the map of an earlier run in which it began. Returns
+    the content of ``result.json``.
 
     The log is replayed, because lines that came late are in their places in it. What is written is
     therefore what ``limslam replay`` makes of the log.
     """
     session.recording.save(folder / LOG)
-    replay = replay_log(session.recording.log(), session.agent.config)
+    replay = replay_log(session.recording.log(), session.agent.config, prior_map=prior_map)
     scores = {**session.figures, "stop_reason": reason}
     return write_replay(folder, replay, {"log": title}, scores)
 

@@ -5,13 +5,13 @@ is gone.
 import math
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
 from limslam_agent.endings import end_by, noted_endings
 from limslam_agent.live.link import POLL, Connection
+from limslam_agent.live.orders import HOME, Destination, Goal, Orders
 from limslam_agent.live.protocol import (
     Command,
     Heartbeat,
@@ -25,7 +25,9 @@ from limslam_agent.live.protocol import (
 from limslam_agent.live.recording import MM, Recording, Row
 from limslam_agent.live.transports import SILENT_AFTER
 from limslam_agent.mapping.team import LimSlamAgent
-from limslam_agent.policies.policy import Policy
+from limslam_agent.policies.policy import Policy, checked_action
+from limslam_agent.policies.way_to import WayTo, objection
+from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 OUT_OF_TIME = "time: the longest time of the session is over"
@@ -40,6 +42,8 @@ wheels.
 LINK_DELAY = 2.0
 """Delay of the loop, in periods, up to which the robot drives at the speed that the agent wants."""
 
+_OTHER_MAP = "the robot has begun to use another map since"
+
 _DELAYS = 15  # number of delays whose median counts
 _STOP_ATTEMPTS = 20
 _STOP_WAIT = 0.05  # s, between two attempts to stop the wheels
@@ -53,23 +57,18 @@ class Wired:
     place: str  # Where the robot is, in words
     # The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
     robot: Callable[[Hello], RobotSpec]
-    # The policy that drives, from the one that was asked for; None is that of the agent itself
-    policy: Callable[[Policy | None, AgentConfig, RobotSpec], Policy | None] = (
-        lambda policy, _config, _robot: policy
-    )
     watch: Callable[["Session"], None] = lambda _: (
         None
     )  # Called with the session after each decision
-    # Called with the session before each decision, and again and again while the robot is silent
-    obey: Callable[["Session"], None] = lambda _: None
+    orders: Orders = field(default_factory=Orders)  # What people ask of the robot
     hint: str = ""  # What to say beside the place while nobody has answered
 
 
 class Session:
     """Drives a robot, and records what it sends.
 
-    The agent is made for ``recording.robot``. ``watch`` and ``obey`` are as in :class:`Wired`, and
-    ``obey`` may set the attributes below.
+    The agent is made for ``recording.robot``. ``watch`` and ``orders`` are as in
+    :class:`Wired`, and ``listen`` is called again and again, also while the robot is silent.
 
     Attributes
     ----------
@@ -78,11 +77,8 @@ class Session:
         restarted.
     watchdog_stops
         Number of times that the robot's watchdog has stopped the wheels.
-    is_paused
-        Whether the robot only maps. The wheels are stopped once, and then get no command, so that a
-        person can drive.
-    asked_to_end
-        Why the session shall end, in words. None while it goes on.
+    orders
+        What people ask of the robot.
     """
 
     def __init__(
@@ -92,7 +88,8 @@ class Session:
         agent: LimSlamAgent,
         recording: Recording,
         watch: Callable[["Session"], None] = lambda _: None,
-        obey: Callable[["Session"], None] = lambda _: None,
+        orders: Orders | None = None,
+        listen: Callable[[], None] = lambda: None,
     ) -> None:
         self.link = link
         self.agent = agent
@@ -100,14 +97,18 @@ class Session:
         self.reconnections = self.watchdog_stops = 0
         self._hello = hello
         self._watch = watch
-        self._obey = obey
+        self.orders = orders or Orders()
+        self._listen = listen
+        self._destination: Destination | None = None  # that was looked at
+        self._way: WayTo | None = None  # that is driven in place of what the agent wants
+        self._why_home = "asked to drive home"
+        self._ending: str | None = None
         agent.mapper.longest_travel = (
             math.inf
         )  # the recording knows the times, and checks the travel
         self._observed: Row | None = None
         self._last_new = self._last_command = link.clock()
-        self._was_stopped = self._is_connected = self.is_paused = self._is_silent = False
-        self.asked_to_end: str | None = None
+        self._was_stopped = self._is_connected = self._is_silent = False
         self._sent: deque[tuple[int, float]] = deque(maxlen=200)
         self._delays: deque[float] = deque(maxlen=_DELAYS)
 
@@ -129,6 +130,22 @@ class Session:
         for number in noted:
             end_by(number)
         return reason
+
+    @property
+    def policy(self) -> Policy:
+        """What drives now: the way to where an order says, or the policy of the agent."""
+        return self._way or self.agent.policy
+
+    @property
+    def state(self) -> str:
+        """What the robot is doing, in a word or a few."""
+        if self._ending is not None or self.orders.end is not None:
+            return "done"
+        if self.orders.is_paused:
+            return "paused"
+        if self._way is None:
+            return "exploring"
+        return "driving home" if self._destination == HOME else "driving to a goal"
 
     @property
     def delay(self) -> float:
@@ -168,11 +185,13 @@ class Session:
     def _turn(self, max_time: float, patience: float) -> str | None:
         """Take what has arrived, and answer. The reason to end the session, if there is one."""
         fresh = self._take(self.link.receive(POLL))
-        self._obey(self)
+        self._listen()
+        self._look_at_destination()
+        orders = self.orders
         if not fresh:
-            if self.asked_to_end is not None:
-                return self.asked_to_end
-            if self.is_paused:
+            if orders.end is not None:
+                return orders.end
+            if orders.is_paused:
                 self._rest()
             self._keep_alive()
             silence = self.link.clock() - self._last_new
@@ -182,7 +201,7 @@ class Session:
         for row in fresh:
             self.agent.observe(self.recording.observation(row, self._observed))
             self._observed = row
-        if self.is_paused:
+        if orders.is_paused:
             self.recording.note_action(fresh[-1], np.zeros(2))
             self._rest()
         else:
@@ -191,11 +210,82 @@ class Session:
         self._last_new = (
             self.link.clock()
         )  # silence is what the host has listened to, not what it has computed for
-        if self.asked_to_end is not None:
-            return self.asked_to_end
-        if self.agent.done:
-            return self.agent.stop_reason
+        if orders.end is not None or self._ending is not None:
+            return orders.end or self._ending
         return OUT_OF_TIME if fresh[-1].time >= max_time else None
+
+    def _look_at_destination(self) -> None:
+        """Answer an order to drive somewhere that has come since."""
+        orders = self.orders
+        goal = orders.destination
+        if goal is self._destination:
+            return
+        if isinstance(goal, Goal):
+            belief = self.agent.mapper.belief
+            place = np.array([goal.x, goal.y])
+            is_here = goal.map_number == belief.map_number
+            why_not = objection(place, belief, self.agent.robot) if is_here else _OTHER_MAP
+            if why_not:
+                orders.drop_destination(f"{goal}: {why_not}")
+                goal = None
+            else:
+                orders.is_paused = False
+                orders.answers.append(f"driving to {goal}")
+        self._destination = goal
+        self._way = None
+
+    def _wheels(self) -> FloatArray:
+        """The wanted wheel speeds (2,): those of the agent, or on the way to where an order
+        says.
+        """
+        agent = self.agent
+        goal = self._destination
+        is_lost_home = goal == HOME and agent.status == "lost"
+        if goal is None or is_lost_home:  # it explores, so that it is found again
+            self._way = None
+            wheels = agent.decide()
+            if agent.stop_reason is not None:
+                self._explored(agent.stop_reason, is_lost=is_lost_home)
+            return wheels
+        belief = agent.mapper.belief
+        if isinstance(goal, Goal) and goal.map_number != belief.map_number:
+            self.orders.drop_destination(f"{goal}: {_OTHER_MAP}")
+            return np.zeros(2)
+        way = self._way_to(goal)
+        wheels = checked_action(way, belief)
+        if way.stop_reason is not None and goal == HOME:
+            self._ending = f"{self._why_home}; {way.stop_reason}"
+        elif way.stop_reason is not None:
+            self.orders.destination = None
+            self.orders.pause(f"{way.stop_reason}, and waits")
+        return wheels
+
+    def _way_to(self, goal: Destination) -> WayTo:
+        """The way to a destination. Its place in the map is another one when the robot has found
+        its place in an earlier map.
+        """
+        agent = self.agent
+        frame = agent.mapper.prior_frame
+        start = np.zeros(2) if frame is None else frame[:2]
+        place = np.array([goal.x, goal.y]) if isinstance(goal, Goal) else start
+        if self._way is None or not np.array_equal(self._way.goal, place):
+            words = str(goal) if isinstance(goal, Goal) else "its start"
+            self._way = WayTo(place, words, agent.robot, agent.config.policy)
+        return self._way
+
+    def _explored(self, reason: str, *, is_lost: bool) -> None:
+        """Do what follows when nothing is left to explore."""
+        orders = self.orders
+        if is_lost:
+            lost = "the robot is lost, and does not know the way to its start"
+            self._ending = f"{self._why_home}; {lost}"
+        elif orders.when_explored == "home":
+            self._why_home = reason
+            orders.destination = HOME
+        elif orders.when_explored == "pause":
+            orders.pause(f"{reason}; the robot waits")
+        else:
+            self._ending = reason
 
     def _take(self, messages: list[Message]) -> list[Row]:
         """Record telemetry. The rows that are later than all before them, in order."""
@@ -253,7 +343,7 @@ class Session:
 
     def _answer(self, row: Row) -> None:
         """Decide, and send the wheel speeds."""
-        action = np.clip(self.agent.decide(), -1.0, 1.0) * self.speed_share
+        action = np.clip(self._wheels(), -1.0, 1.0) * self.speed_share
         self.recording.note_action(row, action)
         seq = self.link.next_seq()
         left, right = (

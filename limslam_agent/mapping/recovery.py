@@ -50,7 +50,7 @@ from limslam_agent.places.revisions import (
 from limslam_agent.slam.slam import is_renewable
 from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
-from limslam_agent.status.rays import STEPS, moved, rays_of
+from limslam_agent.status.rays import STEPS, moved, rays_of, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
@@ -401,11 +401,9 @@ class Recovery:
         placed = placed_until_carried(lost, scans, self.begin, frame, self._frames.robot, sensor)
         pose = placed[-1]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
-        placed_rays = moved(rays, frame)
         has_drifted = not is_far(frame, found.middle)
-        if not has_drifted and not lost.was_moved:
-            has_drifted = lost.known.explains(frame, covariance, placed_rays)
-        return Placement(self.begin + len(placed), pose, covariance, placed_rays, has_drifted)
+        rays_there = moved(rays, frame)
+        return Placement(self.begin + len(placed), pose, covariance, rays_there, has_drifted)
 
     def _go_on_locally(self, lost: Lost) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost."""
@@ -455,7 +453,7 @@ class Recovery:
         frames.use(slam, lost.known.grid.copied())
         count = found.step - self.begin
         frames.process_again(scans[:count])
-        rays, closed = found.put(slam, frames.grid)
+        slam.relocate(found.pose, found.covariance, ends=wall_points(found.rays))
         # The comparisons until now have seen how the robot was carried away, and no stretch with
         # that motion can be smoothed.
         frames.begin_anew()
@@ -465,24 +463,24 @@ class Recovery:
         # turns.
         frames.reset_monitors()
         known: dict[str, Any] = {"revision": self._revision(self.begin)}
-        if closed is None and found.has_drifted:
+        if found.has_drifted:
             past = PlaceHistory(self.events)
             first = max([0, *past.breaks, *(last for _, last in past.slips)])
             known["slipped"] = (first, found.step)
-        elif closed is None:
+        else:
             known["carried_at"] = found.step
         self._tell("found", {"carried_at": found.step}, **known)
-        self._return(lost, closed, rays=rays, has_drifted=found.has_drifted)
+        self._return(lost, lost.search.place, rays=found.rays, has_drifted=found.has_drifted)
 
-    def _return(self, lost: Lost, place: KnownPlaces | None, **placed: Any) -> None:
-        """The robot goes on at a place that is to be confirmed, in a map or in the known one."""
+    def _return(self, lost: Lost, place: KnownPlaces, **placed: Any) -> None:
+        """The robot goes on at a place that is to be confirmed in a map."""
         lost.search.wait()
         self.state = Placed(
             NOT_CONFIRMED,
             lost.search,
             lost,
             lost.first,
-            place=place or lost.search.place,
+            place=place,
             driven=lost.driven,
             at=lost.driven,
             **placed,

@@ -324,6 +324,8 @@ class LimSlamAgent(_Explorers):
     policy
         Chooses the actions. By default the agent explores the nearest frontier. A policy that is
         given serves for one run.
+    prior_map
+        The map of an earlier run, in which the robot is at an unknown place (:class:`Mapper`).
 
     Examples
     --------
@@ -341,9 +343,14 @@ class LimSlamAgent(_Explorers):
     """
 
     def __init__(
-        self, robot: RobotSpec, config: AgentConfig | None = None, policy: Policy | None = None
+        self,
+        robot: RobotSpec,
+        config: AgentConfig | None = None,
+        policy: Policy | None = None,
+        *,
+        prior_map: SavedMap | None = None,
     ) -> None:
-        mapper = Mapper(robot, config, np.zeros((1, 3)))
+        mapper = Mapper(robot, config, np.zeros((1, 3)), prior_map=prior_map)
         super().__init__(mapper, None if policy is None else [policy], np.zeros((1, 3)))
 
     def reset(self, start_pose: FloatArray, seed: int | None = None) -> None:

@@ -13,7 +13,7 @@ from limslam_agent.record import Scan
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import ConsistentEstimator
 from limslam_agent.status.monitor import Loss, covariance_of_lost
-from limslam_agent.status.rays import moved, step_rays, wall_points
+from limslam_agent.status.rays import step_rays
 from limslam_agent.status.sudden_changes import change_evidence
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
@@ -57,15 +57,6 @@ class KnownFrame:
     def places(self) -> KnownPlaces:
         """The map of the frame, to be searched."""
         return KnownPlaces.of(self.slam, self.grid.view)
-
-    def explains(self, frame: FloatArray, covariance: FloatArray, rays: FloatArray) -> bool:
-        """Whether the covariance of the estimate explains that rays (n, 7) have moved it by a frame
-        (3,).
-
-        ``covariance`` (3, 3) is that of the match.
-        """
-        pose = compose(frame, self.slam.pose)
-        return self.slam.map_state.closed(pose, covariance, wall_points(rays)) is not None
 
 
 class Checkpoints:
@@ -222,26 +213,6 @@ class Placement(NamedTuple):
     covariance: FloatArray
     rays: FloatArray
     has_drifted: bool = False
-
-    def put(
-        self, slam: ConsistentEstimator, grid: OccupancyGrid
-    ) -> tuple[FloatArray, KnownPlaces | None]:
-        """Put the robot at its place in the known frame, and close a loop by it if it has drifted.
-
-        Returns
-        -------
-        rays, closed
-            The rays in the map as it is now, and this map, if a loop was closed. Otherwise the rays
-            as they were, and None.
-        """
-        ends = wall_points(self.rays)
-        bent = slam.close(self.pose, self.covariance, ends) if self.has_drifted else None
-        if bent is None:
-            slam.relocate(self.pose, self.covariance, ends=ends)
-            return self.rays, None
-        grid.bend(*bent)
-        rays = moved(self.rays, compose(slam.pose, inverse(self.pose)))
-        return rays, KnownPlaces.of(slam, grid.copied().view)
 
 
 def placed_until_carried(

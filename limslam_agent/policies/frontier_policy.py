@@ -11,8 +11,8 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.attempts import SAME_GOAL, Attempt, Attempts
 from limslam_agent.policies.controller import (
-    PATIENCE,
     REPLAN_PERIOD,
     Progress,
     follow,
@@ -26,11 +26,7 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
-# Distance (m) on the path from which the robot looks at a frontier.
-_VIEW = 0.35
 _POINTED = math.radians(4.0)
-# The robot has seen something new when the map has this many more cells.
-_NEW_CELLS = 2
 _MOST_NAMED = 3
 # Number of cells that the beams must reach from the middle of the robot, so that they see a free
 # cell beside its own.
@@ -42,7 +38,7 @@ class FrontierPolicy(MapExplorer):
 
     The robot first looks at a frontier with the nearest beam from a distance. If that shows
     nothing, the robot drives to it. What it has looked at, or could not reach, is no goal any more,
-    so exploration always ends.
+    so exploration always ends (:mod:`limslam_agent.policies.attempts`).
 
     A robot whose beams reach less than :func:`least_reach` sees no free cell beside its own, and so
     no frontier. Such a robot follows walls instead until it has seen nothing new for a while, and
@@ -73,16 +69,13 @@ class FrontierPolicy(MapExplorer):
 
     def _plan_anew(self) -> None:
         self._drop()
-        # Largest number of known cells so far.
-        self._known = 0
+        self._attempts = Attempts()
+        # Whether the map has not grown since the robot turned to its goal.
+        self._is_vain = True
 
     def _drop(self) -> None:
-        # The target, and whether the robot drives to the end of its path, as it saw nothing from a
-        # distance.
         self._pursued: Target | None = None
-        self._goes_near = False
         self.plan = NO_PLAN
-        self._progress = Progress()
         self._until_plan = 0
 
     @property
@@ -116,9 +109,11 @@ class FrontierPolicy(MapExplorer):
             )
         return wheels
 
+    def _ignored(self, belief: Belief) -> BoolArray:
+        return cells_around(belief.grid, self._settled + self._failed)
+
     def _target(self, belief: Belief) -> Target | None:
-        ignored = cells_around(belief.grid, self._settled + self._failed)
-        return next_target(belief, ignored, self.robot, self._config)
+        return next_target(belief, self._ignored(belief), self.robot, self._config)
 
     def _replan(self, belief: Belief) -> None:
         target = self._target(belief)
@@ -126,34 +121,48 @@ class FrontierPolicy(MapExplorer):
             self._drop()
             self.stop_reason = self._reason(belief)
             return
-        if self.goal is None or np.hypot(*(self.goal - target.goal)) >= _VIEW:
-            self._goes_near = False
-            self._progress.left = math.inf
+        if self.goal is None or math.dist(self.goal, target.goal) >= SAME_GOAL:
+            self._leave(belief)
+            self._is_vain = True
         self._pursued = target
         self._until_plan = REPLAN_PERIOD
-        self.plan = target.path if self._goes_near else cut_short(target.path, _VIEW)
+        goes_near = self._attempts.of(target.goal).goes_near
+        self.plan = target.path if goes_near else cut_short(target.path, SAME_GOAL)
+
+    def _leave(self, belief: Belief) -> None:
+        """Turn from a goal. One that has ceased to be a frontier, although the map has not grown,
+        flickers, and is settled.
+        """
+        if self.goal is not None and self._is_vain:
+            frontier = frontier_cells(belief.grid, self._config.min_frontier)
+            if not (frontier & cells_around(belief.grid, [self.goal])).any():
+                self._settled.append(self.goal)
 
     def _follow(self, belief: Belief, target: Target) -> FloatArray:
+        has_grown = self._attempts.note(belief.grid)
+        self._is_vain = self._is_vain and not has_grown
+        attempt = self._attempts.of(target.goal)
         step = follow(self.plan, belief, self.robot, self._config.speed)
         if step is None:
-            return self._look(belief, target)
+            return self._look(belief, target, attempt)
         action, left = step
-        known = int(np.count_nonzero(belief.grid.values))
-        self._progress.count(left, is_new=known > self._known + _NEW_CELLS)
-        if self._progress.idle == 0:
-            self._known = max(known, self._known)
-        # The map may change the way, and turning takes time.
-        if self._progress.idle > 3 * PATIENCE:
-            self._failed.append(target.goal)
-            self._drop()
+        attempt.progress.count(left, is_new=has_grown)
+        if attempt.is_over:
+            self._end(attempt, target, self._failed)
         return action
 
-    def _look(self, belief: Belief, target: Target) -> FloatArray:
+    def _end(self, attempt: Attempt, target: Target, ends: list[FloatArray]) -> None:
+        """Keep the target in a list of goals that are none any more."""
+        ends.append(target.goal)
+        self._attempts.end(attempt)
+        self._drop()
+
+    def _look(self, belief: Belief, target: Target, attempt: Attempt) -> FloatArray:
         """Point a beam at the target and decide from the reading what the target is."""
         aim = target.aim
         beam, error = nearest_beam(belief.pose, aim, self.robot)
-        self._progress.idle += 1
-        if abs(error) > _POINTED and self._progress.idle <= 3 * PATIENCE:
+        attempt.progress.idle += 1
+        if abs(error) > _POINTED and not attempt.is_over:
             return turn_by(error, self.robot)
         distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(
             np.hypot(*self.robot.beam_origins[beam])
@@ -162,12 +171,11 @@ class FrontierPolicy(MapExplorer):
         is_wall = (
             reading < self.robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
         )
-        if is_wall or self._goes_near:
-            self._settled.append(target.goal)
-            self._drop()
+        if is_wall or attempt.goes_near:
+            self._end(attempt, target, self._settled)
         else:
-            self._goes_near = True
-            self._progress = Progress()
+            attempt.goes_near = True
+            attempt.progress = Progress()
             self._until_plan = 0
         return np.zeros(2)
 

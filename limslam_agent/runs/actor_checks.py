@@ -68,12 +68,13 @@ def _described(space: Any) -> str:
     return f"shape {space.shape}"
 
 
-def is_policy(actor: Any) -> bool:
+def acts_on_belief(actor: Any, is_policy: bool | None = None) -> bool:
     """Whether an object is a policy, which acts on a belief, and not an actor, which acts on an
     observation.
 
-    The name of the argument of ``act`` decides: ``belief`` or ``observation``. With another name,
-    an object is a policy if it has ``stop_reason`` and ``plan``.
+    ``is_policy`` decides if it is known. Otherwise the name of the argument of ``act`` does:
+    ``belief`` or ``observation``. With another name, an object is a policy if it has
+    ``stop_reason`` and ``plan``.
 
     Raises
     ------
@@ -82,16 +83,16 @@ def is_policy(actor: Any) -> bool:
     """
     name = type(actor).__name__
     argument = first_argument(getattr(actor, "act", None))
-    missing = [part for part in ("stop_reason", "plan") if not hasattr(actor, part)]
-    if argument == "belief":
+    missing = [part for part in ("act", "stop_reason", "plan") if not hasattr(actor, part)]
+    if is_policy if is_policy is not None else argument == "belief":
         if missing:
+            reason = "policy= says so" if is_policy else "act takes a belief"
             raise ValueError(
-                f"{name} is a policy, because act takes a belief, but it has no "
-                f"{' and no '.join(missing)}: "
+                f"{name} is a policy, because {reason}, but it has no {' and no '.join(missing)}: "
                 "write stop_reason = None and plan = np.zeros((0, 2)) in the class"
             )
         return True
-    if argument is None or argument.startswith("observation") or missing:
+    if is_policy is False or argument is None or argument.startswith("observation") or missing:
         return False
     if any(hasattr(actor, part) for part in ("reset", "done", "predict", "snapshot")):
         raise ValueError(

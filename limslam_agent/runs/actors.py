@@ -13,7 +13,7 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import preset
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.policies.policy import NO_PLAN
-from limslam_agent.runs.actor_checks import first_argument, is_policy
+from limslam_agent.runs.actor_checks import acts_on_belief, first_argument
 from limslam_agent.runs.policies import policies_by_belief
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
@@ -90,12 +90,14 @@ def driver_of(
     robot: RobotSpec | None = None,
     noise: NominalNoise | None = None,
     preset_name: str | None = None,
+    is_policy: bool | None = None,
 ) -> Driver:
     """The driver that acts as ``actor`` does, for all robots of a team or for a single robot.
 
     A policy becomes the policy of a `LimSlamAgent` for ``robot`` and ``noise``, of the preset that
-    is named or else of the default preset. A text is the name of a policy as in ``limslam run
-    --policy``, which drives such an agent or team.
+    is named or else of the default preset. ``is_policy`` says whether ``actor`` is one; with None,
+    its form does. A text is the name of a policy as in ``limslam run --policy``, which drives such
+    an agent or team.
 
     Raises
     ------
@@ -113,7 +115,7 @@ def driver_of(
             return LimSlamTeam(body, config, robots, policies)
 
         return Driver(named, answers_all=True)
-    if is_policy(actor):
+    if acts_on_belief(actor, is_policy):
         if is_team:
             raise ValueError(
                 f"{type(actor).__name__} is a policy for one robot: "
@@ -126,16 +128,16 @@ def driver_of(
     if not callable(getattr(actor, "act", None)):
         if callable(getattr(actor, "predict", None)):
             return Driver(lambda _robots, _seed: _Model(actor), answers_all=True)
-        _check_callable(actor)
+        _check_callable(actor, is_policy)
     return Driver(lambda _robots, _seed: actor, answers_all=is_team)
 
 
-def _check_callable(actor: Any) -> None:
+def _check_callable(actor: Any, is_policy: bool | None) -> None:
     if not callable(actor):
         raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
             f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable"
         )
-    if first_argument(actor) == "belief":
+    if is_policy is None and first_argument(actor) == "belief":
         raise ValueError(
             f"{getattr(actor, '__name__', 'this')} takes a belief, but a function gets an "
             "observation: "

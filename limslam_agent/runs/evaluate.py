@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -10,8 +11,9 @@ import pettingzoo
 from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 
 import limslam_env  # noqa: F401 (registers the environments)
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import NOT_EXPLORED
-from limslam_agent.runs.actor_checks import check_actor, is_policy
+from limslam_agent.runs.actor_checks import acts_on_belief, check_actor
 from limslam_agent.runs.actors import ALONE, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, over_robots, trajectory_scores
@@ -29,10 +31,13 @@ _TEAMS = "limslam/"
 
 
 def evaluate(
-    actor: Any,
+    scored: Any = None,
+    /,
     env_id: str = "LimSlam-Env1-v0",
     seeds: int | Iterable[int] = range(10),
     *,
+    policy: Any = None,
+    actor: Any = None,
     max_time: float = 1800.0,
     preset: str | None = None,
     wrap: Callable[[Any], Any] | None = None,
@@ -43,8 +48,9 @@ def evaluate(
 
     Parameters
     ----------
-    actor
-        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan``
+    scored, policy, actor
+        One of them: ``policy`` is a policy, ``actor`` is an actor, and ``scored`` is either of
+        them, by its form. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan``
         (`Policy`). A new copy of it is the policy of a `LimSlamAgent` in each episode, which is
         told the ``robot`` and the ``nominal_noise`` of the environment. An **actor** is anything
         with ``act(observation)``, a model of Stable-Baselines3 or another object with
@@ -65,7 +71,8 @@ def evaluate(
         The settings of the agent that gets a policy: ``graph`` (the default), ``paper``,
         ``consistent`` or ``odometry``. An actor has its own settings.
     wrap
-        Wraps the bare environment into the one that the actor sees.
+        Wraps the bare environment into the one that the actor sees. With `SlamObservation`, the
+        estimate of the wrapper is scored.
     **arguments
         Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``.
         ``coverage_goal`` is by default None for an actor that says itself when it is ``done``, else
@@ -76,8 +83,8 @@ def evaluate(
     results
         For each seed the metrics of the drive: ``coverage_true``, ``time_to_50_s`` and so on,
         ``exploration_time_s``, ``collisions``, ``path_m`` and ``stop_reason``. For an actor whose
-        ``snapshot()`` is that of `LimSlamAgent` or `LimSlamTeam`, also the metrics of its
-        trajectory and map.
+        ``snapshot()`` is that of `LimSlamAgent` or `LimSlamTeam`, or that sees the belief of
+        `SlamObservation`, also the metrics of the trajectory and the map.
 
     Raises
     ------
@@ -93,18 +100,20 @@ def evaluate(
     >>> 0.0 < results[0]["coverage_true"] < 1.0
     True
     """
-    _check(actor, env_id, max_time, preset)
+    chosen, is_policy = _chosen(scored, policy, actor)
+    _check(chosen, is_policy, env_id, max_time, preset)
     seeds = _seeds(seeds)
     is_team = env_id.startswith(_TEAMS)
     robot = given("robot", arguments.get("robot"), RobotSpec)
-    can_stop = driver_of(actor, is_team=is_team, robot=robot, preset_name=preset).can_stop
-    goal = {"coverage_goal": None} if can_stop else {}
+    make = partial(
+        driver_of, chosen, is_team=is_team, robot=robot, preset_name=preset, is_policy=is_policy
+    )
+    goal = {"coverage_goal": None} if make().can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
-        noise = bare.unwrapped.nominal_noise
-        driver = driver_of(actor, is_team=is_team, robot=robot, noise=noise, preset_name=preset)
-        check_actor(actor, bare.unwrapped.robot, env)
+        driver = make(noise=bare.unwrapped.nominal_noise)
+        check_actor(chosen, bare.unwrapped.robot, env)
         return [
             _scored(driver, _Robots(env, is_team=is_team), bare.unwrapped, int(seed))
             for seed in seeds
@@ -159,6 +168,16 @@ class _Robots:
         self._env = env
         self._is_team = is_team
 
+    @property
+    def mapper(self) -> Mapper | None:
+        """The mapper of the wrapper whose beliefs the actor sees, if there is one."""
+        found = (
+            self._env.get_wrapper_attr("mapper")
+            if isinstance(self._env, gym.Wrapper) and self._env.has_wrapper_attr("mapper")
+            else None
+        )
+        return found if isinstance(found, Mapper) else None
+
     def reset(self, seed: int) -> tuple[dict[str, Any], _Infos]:
         """Observations and true infos of the robots."""
         observation, info = self._env.reset(seed=seed)
@@ -175,7 +194,24 @@ class _Robots:
         return {ALONE: observation}, {ALONE: info}, bool(is_over), bool(is_late)
 
 
-def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None:
+def _chosen(scored: Any, policy: Any, actor: Any) -> tuple[Any, bool | None]:
+    """What is to be scored, and whether it is a policy; None where its form says so."""
+    each = [
+        (one, is_policy)
+        for one, is_policy in ((scored, None), (policy, True), (actor, False))
+        if one is not None
+    ]
+    if len(each) != 1 or isinstance(actor, str):
+        raise ValueError(
+            "evaluate scores one thing: evaluate(policy=...), also by its name, or "
+            "evaluate(actor=...), or either of them as the first argument"
+        )
+    return each[0]
+
+
+def _check(
+    actor: Any, is_policy: bool | None, env_id: Any, max_time: float, preset: str | None
+) -> None:
     """Refuse arguments that cannot be used, before anything is made."""
     if not max_time > 0.0:
         raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
@@ -185,7 +221,9 @@ def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None
             "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and "
             "so on) and wrap="
         )
-    has_agent = isinstance(actor, str) or (not isinstance(actor, type) and is_policy(actor))
+    has_agent = isinstance(actor, str) or (
+        not isinstance(actor, type) and acts_on_belief(actor, is_policy)
+    )
     if preset is not None and not has_agent:
         raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
 
@@ -218,6 +256,7 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
 def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) -> Result:
     """Drive one episode and score it."""
     truth, beliefs, stop_reason = _drive(driver, robots, seed)
+    source = driver.snapshot_source or robots.mapper
     time, coverage = (
         np.array([next(iter(infos.values()))[name] for infos in truth])
         for name in ("time", "coverage")
@@ -228,11 +267,11 @@ def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) ->
     )
     has_explored = stop_reason is not None and not stop_reason.endswith(NOT_EXPLORED)
     scores: Result = drive_scores(time, coverage, true, contact, has_explored=has_explored)
-    if driver.snapshot_source is not None:
+    if source is not None:
         estimated, odometry, covariances = (
             np.array(column) for column in zip(*beliefs, strict=True)
         )
-        snapshot = driver.snapshot_source.snapshot()
+        snapshot = source.snapshot()
         scores |= over_robots(trajectory_scores, true, estimated, odometry, covariances)
         scores |= map_scores(
             stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated
@@ -251,6 +290,7 @@ def _drive(
     """
     observations, infos = robots.reset(seed)
     _begin(driver, infos, seed)
+    source = driver.snapshot_source or robots.mapper
     truth = list[_Infos]()
     beliefs = list[tuple[FloatArray, FloatArray, FloatArray]]()
     is_over = False
@@ -259,13 +299,13 @@ def _drive(
         # The last observation only updates the estimate; its action is not executed.
         actions = driver.act(observations)
         truth.append(infos)
-        if driver.snapshot_source is not None:
-            snapshot = driver.snapshot_source.snapshot()
+        if source is not None:
+            snapshot = source.snapshot()
             beliefs.append((snapshot.poses, snapshot.odometry, snapshot.covariances))
         if is_over or is_late or driver.done:
             break
         observations, infos, is_over, is_late = robots.step(actions)
-    finish = getattr(driver.snapshot_source, "finish", None)
+    finish = getattr(source, "finish", None)
     if callable(finish):
         finish()
     if driver.done:

@@ -2,7 +2,7 @@
 readings.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, SupportsFloat, TypeAlias, cast
 
 import gymnasium as gym
@@ -13,12 +13,15 @@ from numpy.typing import NDArray
 from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.config.tables import built
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapping.mapper import Mapper
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.numbers import plain
 from limslam_env.geometry.se2 import between
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
 from limslam_env.interface import Observation as Readings
+from limslam_env.overlay import Overlay
 
 _READINGS = ("ranges", "wheels", "yaw")
 
@@ -68,9 +71,14 @@ class SlamObservation(
     agent_config
         Settings of the SLAM, with the noise that the SLAM is told. By default the preset `graph`
         with the nominal noise of the environment (its ``nominal_noise``): the data sheets of the
-        robot are no secret.
+        robot are no secret. A table of all settings stands for them.
     size
         Side of the grid in cells.
+
+    Attributes
+    ----------
+    mapper
+        The `Mapper` that believes. Pictures of the environment show its belief over the truth.
 
     Raises
     ------
@@ -91,12 +99,12 @@ class SlamObservation(
     def __init__(
         self,
         env: gym.Env[Observation, Any],
-        agent_config: AgentConfig | None = None,
+        agent_config: AgentConfig | Mapping[str, Any] | None = None,
         size: int = 40,
     ) -> None:
         # With its arguments in the environment's spec, Gymnasium and Minari can make the wrapped
         # environment again.
-        gym.utils.RecordConstructorArgs.__init__(self, agent_config=agent_config, size=size)
+        gym.utils.RecordConstructorArgs.__init__(self, agent_config=plain(agent_config), size=size)
         super().__init__(env)
         if size < 1:
             raise ValueError(f"a grid needs at least one cell, not {size}")
@@ -104,7 +112,9 @@ class SlamObservation(
         if not isinstance(robot, RobotSpec):
             raise ValueError(f"{env.unwrapped} has no LimSLAM robot")  # noqa: TRY004 (a wrong value)
         ranges = ranges_space(env.observation_space, robot)
-        self._mapper = Mapper(
+        if isinstance(agent_config, Mapping):
+            agent_config = built(AgentConfig, agent_config, "agent_config")
+        self.mapper = Mapper(
             robot, agent_config or default_config([getattr(env.unwrapped, "nominal_noise", None)])
         )
         self._start = np.zeros(3)
@@ -117,7 +127,7 @@ class SlamObservation(
         """Start a new episode with an empty map. Of `info`, only the start pose is used."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._start = np.array(info["pose"], dtype=float)
-        self._mapper.reset(self._start)
+        self.mapper.reset(self._start)
         return self._believed(observation), self._with_status(info)
 
     def step(self, action: Any) -> tuple[Observation, SupportsFloat, bool, bool, Any]:
@@ -128,16 +138,20 @@ class SlamObservation(
     @property
     def belief(self) -> Belief:
         """What the SLAM believes now, for a policy."""
-        return self._mapper.belief
+        return self.mapper.belief
 
     def _believed(self, observation: Observation) -> Observation:
         known = {name: observation[name] for name in _READINGS if name in observation}
-        self._mapper.step(cast(Readings, known))
-        return observed_belief(self._mapper.belief, self._start, observation["ranges"], self._size)
+        self.mapper.step(cast(Readings, known))
+        belief = self.mapper.belief
+        if self.render_mode is not None:
+            shown: Any = self.unwrapped
+            shown.overlay = Overlay(belief.pose, belief.covariance, belief.segments)
+        return observed_belief(belief, self._start, observation["ranges"], self._size)
 
     def _with_status(self, info: Any) -> dict[str, Any]:
         """The info with the status after the latest observation."""
-        status = self._mapper.statuses[0]
+        status = self.mapper.statuses[0]
         return {**info, "status": status.level, "status_reason": status.reason}
 
 

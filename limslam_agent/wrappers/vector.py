@@ -20,6 +20,7 @@ from limslam_agent.wrappers.single import (
 )
 from limslam_env.geometry import BoolArray
 from limslam_env.interface import RobotSpec
+from limslam_env.overlay import Overlay
 
 
 class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unused-ignore]
@@ -87,6 +88,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         config = agent_config or default_config(_values_of(env.unwrapped, "nominal_noise"))
         self.slam = BatchSlam(robot, config, env.num_envs, capacity, num_threads, size)
         self._starts = np.zeros((env.num_envs, 3))
+        self._poses = np.zeros((env.num_envs, 3))
+        self._covariances = np.zeros((env.num_envs, 3, 3))
         self._ended = np.zeros(env.num_envs, dtype=bool)
         self._last: Observation = {}
 
@@ -129,6 +132,16 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         self._ended = ended
         return self._believed(seen, everywhere), reward, terminated, truncated, info
 
+    def render(self) -> Any:
+        """The pictures of the environments, with the beliefs over the truth."""
+        if self.render_mode is not None:
+            believed = zip(self._poses, self._covariances, strict=True)
+            self.unwrapped.overlays = [  # type: ignore[attr-defined]
+                Overlay(pose, covariance, self.slam.segments(number))
+                for number, (pose, covariance) in enumerate(believed)
+            ]
+        return self.env.render()
+
     def close(self, **kwargs: Any) -> None:
         """Close the environments and end the threads of the SLAM. May be called again."""
         # An object whose constructor raised an error has no SLAM.
@@ -161,6 +174,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     def _believed(self, seen: Observation, mask: BoolArray) -> Observation:
         """The beliefs after observations. Environments outside of the mask keep the last ones."""
         beliefs = self.slam.step(seen["ranges"], seen["wheels"], mask)
+        self._poses[mask] = beliefs.pose[mask]
+        self._covariances[mask] = beliefs.covariance[mask]
         observation: Observation = {
             "pose": observed_pose(self._starts, beliefs.pose),
             "covariance": observed_covariance(beliefs.covariance),

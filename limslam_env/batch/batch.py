@@ -117,10 +117,10 @@ class BatchSimulation:
         self,
         mask: BoolArray,
         start: FloatArray | None = None,
-        seeds: np.random.SeedSequence | None = None,
+        homes: Words | None = None,
     ) -> Results:
         """Begin new episodes, as :meth:`begin` does, and observe them."""
-        self.begin(mask, start, seeds)
+        self.begin(mask, start, homes)
         tasks = np.where(mask, BEGIN, SKIP)
         return self._advance(tasks, np.zeros((self.num_envs, self.num_robots, 2)))
 
@@ -128,13 +128,13 @@ class BatchSimulation:
         self,
         mask: BoolArray,
         start: FloatArray | None = None,
-        seeds: np.random.SeedSequence | None = None,
+        homes: Words | None = None,
     ) -> None:
         """Draw world, start and noise of new episodes where a mask (n,) is true; a later step
         observes them.
 
-        ``start`` (n, s, 3) are the first robots' poses. From ``seeds`` all sequences of random
-        numbers begin anew, those of other environments, too.
+        ``start`` (n, s, 3) are the first robots' poses. With ``homes`` (n,), all sequences of
+        random numbers begin anew from these words, those of other environments, too.
 
         Raises
         ------
@@ -142,11 +142,8 @@ class BatchSimulation:
             If a start cannot be used, or there is no room. Then all is as it was.
         """
         envs = np.flatnonzero(mask)
-        homes: Words = self._homes
-        numbers = self._numbers.copy()
-        if seeds is not None:
-            homes = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64)
-            numbers = 0 * numbers
+        numbers = self._numbers.copy() if homes is None else 0 * self._numbers
+        homes = self._homes if homes is None else homes
         numbers[envs] += 1
         keys, settings, places = (
             derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, NOISE, PLACES)

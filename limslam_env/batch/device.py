@@ -89,14 +89,14 @@ class DeviceSimulation(BatchSimulation):
         self,
         mask: BoolArray,
         start: FloatArray | None = None,
-        seeds: np.random.SeedSequence | None = None,
+        homes: Words | None = None,
     ) -> Results:
         """Begin new episodes in all environments, and observe them; all of ``mask`` (n,) is
         true.
         """
         if self._renewal is not None:
             self._numbers[:] = np.asarray(self._renewal.numbers)
-        self.begin(mask, start, seeds)
+        self.begin(mask, start, homes)
         places = self._places
         worlds = self._places.sites.worlds
         size = self.num_envs * worlds.coverable.shape[1]

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig, bounds_of
-from limslam_env.envs.arguments import PlaceSource, given, is_random, reset_options
+from limslam_env.envs.arguments import PlaceSource, given, place_of, reset_options
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.numbers import floats
+from limslam_env.geometry.numbers import floats, plain
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described, one_line
-from limslam_env.rendering.overlay import Overlay
+from limslam_env.overlay import Overlay
 from limslam_env.rendering.painter import Painter
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
-from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World
 
@@ -99,7 +99,21 @@ class Configured:
     ----------
     robot, noise, task
         Specification of the robots, their noise, and the task.
+    metadata
+        What Gymnasium asks for; pictures are shown at the speed of the robots' steps.
     """
+
+    metadata: dict[str, Any]
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What Gymnasium made the environment from, if it did, with arguments as JSON has them."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec and replace(spec, kwargs=plain(spec.kwargs))
 
     def _configure(
         self,
@@ -117,6 +131,8 @@ class Configured:
         self.task = TaskConfig(coverage_goal, given("rewards", rewards, RewardConfig))
         told = given("noise", noise, NoiseConfig)
         self.noise = told if sensor_noise is None else replace(told, sensor_noise=sensor_noise)
+        steps_a_second = max(1, round(1.0 / self.robot.control_period))
+        self.metadata = {**self.metadata, "render_fps": steps_a_second}
 
     @property
     def nominal_noise(self) -> NominalNoise:
@@ -190,16 +206,16 @@ class SimulationEnv(Configured):
         """Take an environment's arguments; its class documents them and the errors raised."""
         self.render_mode = render_mode
         self.has_imu = bool(imu)
-        self._painter = Painter(render_mode)
         self._configure(**arguments)
-        self._source = FloorPlanConfig() if is_random(world) else world
+        self._painter = Painter(render_mode, self.metadata["render_fps"])
+        self._source = place_of(world)
         self._num_robots = num_robots
         self._home = None
         self._is_running = False
         if isinstance(self._source, FloorPlanConfig):
             self._source.check(self.robot.radius)
         else:
-            self._home = Simulation(load_world(self._source), self.robot, num_robots)
+            self._home = Simulation(self._source, self.robot, num_robots)
         self._simulation: Simulation | None = self._home
 
     @property
@@ -297,14 +313,13 @@ class SimulationEnv(Configured):
     def _simulation_for(self, source: PlaceSource, entropy: int) -> Simulation:
         if source is self._source and self._home is not None:
             return self._home
-        if is_random(source):
-            source = FloorPlanConfig()
-        if isinstance(source, FloorPlanConfig):
+        place = place_of(source)
+        if isinstance(place, FloorPlanConfig):
             task = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=(_TASK_SEED,)))
             return Simulation(
-                floor_plan(source, task, self.robot.radius), self.robot, self._num_robots
+                floor_plan(place, task, self.robot.radius), self.robot, self._num_robots
             )
-        return Simulation(load_world(source), self.robot, self._num_robots)
+        return Simulation(place, self.robot, self._num_robots)
 
 
 def _starts(option: Any, num_robots: int) -> FloatArray | None:

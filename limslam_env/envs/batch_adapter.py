@@ -2,10 +2,12 @@
 form for vectors.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
@@ -18,6 +20,7 @@ from limslam_env.envs.arguments import (
     MOST_THREADS,
     BatchSource,
     Plans,
+    listed_seeds,
     reset_options,
     seeds_of,
     whole,
@@ -26,6 +29,7 @@ from limslam_env.envs.arguments import (
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.numbers import floats
 from limslam_env.messages import described
+from limslam_env.overlay import Overlay
 from limslam_env.worlds.world import World
 
 if TYPE_CHECKING:
@@ -35,6 +39,9 @@ BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
 """The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2),
 m.
 """
+
+Seed: TypeAlias = int | Sequence[int | None] | None
+"""The seed of a batch, or one for each environment."""
 
 Ended: TypeAlias = tuple[Results, BoolArray] | None
 """The results of the episodes that ended in a step, and in which environments (n,) they did, if new
@@ -77,12 +84,13 @@ class Batched(Configured):
         self._num_robots = num_robots
         self.num_envs = num_envs
         source = worlds_of(world, num_envs)
-        seeds = seeds_of(plans, world)
+        seeds = seeds_of(plans, source)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
         self._simulation = self._kind(
             places, self.robot, self.noise, self.task, max_steps, num_threads
         )
         self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self._is_over = np.zeros(num_envs, dtype=bool)
         self._is_running = False
 
@@ -93,18 +101,18 @@ class Batched(Configured):
         return self._simulation.seen(env)
 
     def _begin(
-        self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
+        self, generator: np.random.Generator, seed: Seed, options: dict[str, Any] | None
     ) -> tuple[Results, BoolArray]:
         """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of
         their environments.
         """
         asked = reset_options(options, "start", "reset_mask")
-        seeds = None
+        homes = None
         mask = self._mask(asked.get("reset_mask"))
         start = self._start(asked.get("start"))
         if seed is not None or not self._is_running:
-            seeds = np.random.SeedSequence(int(generator.integers(2**63)))
-        results = self._simulation.reset(mask, start, seeds)
+            homes = self._homes(generator, seed)
+        results = self._simulation.reset(mask, start, homes)
         self._is_running = True
         self._is_over[mask] = False
         return results, mask
@@ -136,6 +144,17 @@ class Batched(Configured):
         )
         return now, (results, over)
 
+    def _homes(self, generator: np.random.Generator, seed: Seed) -> NDArray[np.uint64]:
+        """The words (n,) that the random numbers of each environment are functions of."""
+        if seed is None or isinstance(seed, int):
+            return _words(int(generator.integers(2**63)), self.num_envs)
+        return np.concatenate(
+            [
+                _words(int(generator.integers(2**63)) if each is None else each, 1)
+                for each in listed_seeds(seed, self.num_envs)
+            ]
+        )
+
     def _mask(self, option: Any) -> BoolArray:
         """Which environments (n,) a reset is for."""
         if option is None:
@@ -166,6 +185,17 @@ class Batched(Configured):
                 f"({self.num_envs}, {self._num_robots}, 3), not {described(option)}"
             )
         return np.broadcast_to(start, (self.num_envs, *start.shape[1:]))
+
+
+def generator_of(seed: Seed, generator: np.random.Generator | None) -> np.random.Generator:
+    """The generator that seeds are drawn from: a new one for a number, else the one there is."""
+    if generator is None or isinstance(seed, int):
+        return seeding.np_random(seed if isinstance(seed, int) else None)[0]
+    return generator
+
+
+def _words(seed: int, count: int) -> NDArray[np.uint64]:
+    return np.asarray(np.random.SeedSequence(seed).generate_state(count, np.uint64))
 
 
 def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> FloatArray:
@@ -261,8 +291,10 @@ class BatchPictures:
             del self._trail[:first]
             self._begins -= first
 
-    def paint(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture (height, width, 3) of each environment; None before the first reset."""
+    def paint(self, overlays: Sequence[Overlay]) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture (height, width, 3) of each environment, with what its agent believes; None
+        before the first reset.
+        """
         last = self._last
         if last is None:
             return None
@@ -288,6 +320,7 @@ class BatchPictures:
                 float(last.coverage[env]),
                 simulation.seen(env) & grid.coverable,
                 grid.low,
+                overlay=overlays[env : env + 1],
             )
             pictures.append(render(state, background=background))
         return tuple(pictures)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.device import DeviceSimulation
 from limslam_env.envs.arguments import BatchSource
+from limslam_env.envs.batch_adapter import Seed
 from limslam_env.envs.vector_env import LimSlamVectorEnv
 
 
@@ -42,7 +43,7 @@ class LimSlamDeviceEnv(LimSlamVectorEnv):
         super().__init__(world, num_envs, autoreset_mode=AutoresetMode.NEXT_STEP, **arguments)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Start new episodes in all environments, as :class:`LimSlamVectorEnv` does, but without a
         ``reset_mask``.

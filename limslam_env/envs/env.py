@@ -20,7 +20,7 @@ from limslam_env.envs.adapter import (
 )
 from limslam_env.envs.arguments import PlaceSource
 from limslam_env.interface import Observation, RobotSpec
-from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
+from limslam_env.rendering.painter import RENDER_MODES
 
 
 class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]]):
@@ -125,7 +125,6 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)
         "render_modes": list(RENDER_MODES),
-        "render_fps": RENDER_FPS,
     }
 
     def __init__(

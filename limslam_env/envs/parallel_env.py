@@ -6,7 +6,9 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from gymnasium import spaces
 from gymnasium.utils import seeding
+from numpy.typing import NDArray
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
 
@@ -24,7 +26,8 @@ from limslam_env.envs.adapter import (
 )
 from limslam_env.envs.arguments import MOST_STEPS, PlaceSource, check_robots, whole
 from limslam_env.interface import Observation, RobotSpec
-from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
+from limslam_env.rendering.painter import RENDER_MODES
+from limslam_env.simulation.simulation import Readings, Truth
 
 
 class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observation, Action]):
@@ -36,6 +39,17 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
     observation space and the keys of `info` of each agent are those of
     :class:`limslam_env.envs.env.LimSlamEnv`. A beam that hits another robot has the value -2 in
     `wall_seen`; the observation itself does not distinguish robots from walls.
+
+    With `flat`, an observation is one array, `ranges` first, then `wheels` and `yaw`, if it is
+    there. `state()` is for critics that see everything while they learn, an array of 4 + k numbers
+    for each robot, and one more at its end, in `state_space`:
+
+    | Numbers | Meaning                                                               |
+    |---------|-----------------------------------------------------------------------|
+    | 2       | true x and y as shares of the building's width and height, 0 to 1     |
+    | 2       | cosine and sine of the true heading                                   |
+    | k       | the robot's observation as one array, m and rad                       |
+    | 1       | coverage, 0 to 1                                                      |
 
     ## Rewards
     The terms are those of `LimSlamEnv`; an area counts for the robot that is the first to see it.
@@ -63,6 +77,7 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
     | coverage_goal | 0.99              | see Episode End                                             |
     | rewards       | `RewardConfig()`  | see Rewards                                                 |
     | shared_reward | False             | see Rewards                                                 |
+    | flat          | False             | whether an observation is one array instead of a dict       |
     | max_cycles    | 18000             | see Episode End; None never truncates                       |
     | render_mode   | None              | `"rgb_array"` or `"human"`                                  |
 
@@ -87,7 +102,6 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)
         "name": "limslam_v0",
         "render_modes": list(RENDER_MODES),
-        "render_fps": RENDER_FPS,
         "is_parallelizable": True,
     }
 
@@ -103,6 +117,7 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         shared_reward: bool = False,
+        flat: bool = False,
         max_cycles: int | None = 18_000,
         render_mode: str | None = None,
     ) -> None:
@@ -124,8 +139,17 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         self._max_cycles = max_cycles
         self._cycles = 0
         self._generator: np.random.Generator | None = None
-        self._name(num_robots, lambda: observation_space(self.robot, imu=imu), action_space)
+        parts = observation_space(self.robot, imu=imu)
+        flattened: Any = spaces.flatten_space(parts)
+        self._is_flat = flat
+        self._name(num_robots, lambda: flattened if flat else parts, action_space)
         self.agents: list[str] = []
+        self._last = np.zeros((num_robots, *flattened.shape), dtype=np.float32)
+        self._coverage = 0.0
+        # Place, heading and observation of each robot, and the coverage.
+        low = np.array([*[0.0, 0.0, -1.0, -1.0, *flattened.low] * num_robots, 0.0], np.float32)
+        high = np.array([*[1.0, 1.0, 1.0, 1.0, *flattened.high] * num_robots, 1.0], np.float32)
+        self.state_space = spaces.Box(low, high)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -147,8 +171,7 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         readings, truth = self._begin(self._generator, known)
         self.agents = list(self.possible_agents)
         self._cycles = 0
-        observations = self._each(lambda robot: observation_of(readings, robot))
-        return observations, self._each(lambda robot: info_of(truth, robot))
+        return self._observed(readings, truth), self._each(lambda robot: info_of(truth, robot))
 
     def step(
         self, actions: dict[str, Action]
@@ -180,12 +203,36 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         if self._shares_reward:
             rewards = [sum(rewards) / len(rewards)] * len(rewards)
         return (
-            self._each(lambda robot: observation_of(readings, robot)),
+            self._observed(readings, truth),
             self._each(rewards.__getitem__),
             dict.fromkeys(self.possible_agents, is_over),
             dict.fromkeys(self.possible_agents, is_late),
             self._each(lambda robot: info_of(truth, robot)),
         )
+
+    def state(self) -> NDArray[np.float32]:
+        """What is true of all robots, and what they observe; the class says in which order.
+
+        Raises
+        ------
+        gymnasium.error.ResetNeeded
+            If there was no reset yet.
+        """
+        poses = self.true_poses
+        corners = self.world.edges.reshape(-1, 2)
+        low = corners.min(axis=0)
+        places = ((poses[:, :2] - low) / (corners.max(axis=0) - low)).clip(0.0, 1.0)
+        headings = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        rows = np.concatenate((places, *headings, self._last), axis=1)
+        return np.append(rows, self._coverage).astype(np.float32)
+
+    def _observed(self, readings: Readings, truth: Truth) -> dict[str, Any]:
+        """The observations of all robots, which the state remembers."""
+        observations = self._each(lambda robot: observation_of(readings, robot))
+        rows = [np.concatenate(list(seen.values())) for seen in observations.values()]
+        self._last = np.array(rows)
+        self._coverage = truth.coverage
+        return self._each(rows.__getitem__) if self._is_flat else observations
 
 
 def parallel_env(world: PlaceSource = "env1", **arguments: Any) -> LimSlamParallelEnv:

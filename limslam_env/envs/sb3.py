@@ -15,29 +15,35 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvO
 class Sb3VecEnv(VecEnv):
     """An adapter of a `gymnasium.vector.VectorEnv` to Stable-Baselines3's interface.
 
-    ``Sb3VecEnv(gym.make_vec("LimSlam-Random-v0", 64, autoreset_mode="SameStep"))`` makes a batch
-    whose steps are one call. The infos of an episode's last step hold ``terminal_observation``,
-    ``TimeLimit.truncated`` and ``episode`` (return ``r``, steps ``l``), so that no `VecMonitor` is
-    needed. The infos of each step hold its ``cost``, if the batch has one. Other infos stay behind,
-    since turning arrays into a dict for each environment would cost more than the step.
+    ``Sb3VecEnv(gym.make_vec("LimSlam-Random-v0", 64))`` makes a batch whose steps are one call. An
+    episode begins in the step in which another ends, as Stable-Baselines3 wants it, whatever the
+    ``autoreset_mode`` of the batch is.
+
+    The infos of an episode's last step hold ``terminal_observation``, ``TimeLimit.truncated`` and
+    ``episode`` (return ``r``, steps ``l``), so that no `VecMonitor` is needed, and all that the
+    batch says of this step, ``coverage`` for example. The infos of other steps hold their ``cost``
+    alone, if the batch has one, since turning arrays into a dict for each environment would cost
+    more than the step.
 
     Parameters
     ----------
     env
-        The batch. It begins an episode in the step in which another ends.
+        The batch.
 
     Raises
     ------
     ValueError
-        If it begins its episodes otherwise.
+        If the batch is on a GPU.
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any]) -> None:
-        if env.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
+        if hasattr(env.unwrapped, "to_device"):
             raise ValueError(
-                "episodes must begin in the step in which others end: autoreset_mode='SameStep'"
+                "Stable-Baselines3 takes arrays of numpy: make the environments without "
+                "device='cuda'"
             )
         self.env = env
+        self._begins_itself = env.metadata.get("autoreset_mode") is AutoresetMode.SAME_STEP
         self._actions: NDArray[Any] | None = None
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, dtype=np.int64)
@@ -67,10 +73,17 @@ class Sb3VecEnv(VecEnv):
         ends = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = self._costs(found)
+        costs = found["cost"].tolist() if "cost" in found else ()
+        infos = [{"cost": cost} for cost in costs] or [{} for _ in range(self.num_envs)]
+        last, final = found, observation
+        if ends.any() and self._begins_itself:
+            last, final = found["final_info"], found["final_obs"]
+        elif ends.any():
+            observation, _ = self.env.reset(options={"reset_mask": ends})
         for number in np.flatnonzero(ends):
-            infos[number] |= {
-                "terminal_observation": found["final_obs"][number],
+            infos[number] = {
+                **_row(last, number),
+                "terminal_observation": _row(final, number),
                 "TimeLimit.truncated": bool(truncated[number] and not terminated[number]),
                 "episode": {"r": float(self._returns[number]), "l": int(self._lengths[number])},
             }
@@ -109,17 +122,15 @@ class Sb3VecEnv(VecEnv):
         pictures: Sequence[Any] | None = self.env.render()
         return pictures or [None] * self.num_envs
 
-    def _costs(self, found: dict[str, Any]) -> list[dict[str, Any]]:
-        """An info for each environment with the cost of its step; without it if the batch has
-        none.
-        """
-        if "cost" not in found:
-            return [{} for _ in range(self.num_envs)]
-        costs = found["cost"]
-        if "final_info" in found:
-            # The other cost is that of the first observation of the next episode.
-            costs = np.where(found["_final_info"], found["final_info"]["cost"], costs)
-        return [{"cost": cost} for cost in costs.tolist()]
-
     def _numbers(self, indices: VecEnvIndices) -> list[int]:
         return list(self._get_indices(indices))
+
+
+def _row(rows: Any, number: Any) -> Any:
+    """What an observation or an info of all environments has for one of them, without the masks of
+    infos.
+    """
+    if isinstance(rows, dict):
+        return {key: _row(each, number) for key, each in rows.items() if key[0] != "_"}
+    row = rows[number]
+    return row.item() if isinstance(row, np.generic) else row

@@ -2,11 +2,11 @@
 the simulation.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
@@ -19,13 +19,15 @@ from limslam_env.envs.batch_adapter import (
     Batched,
     BatchObservation,
     BatchPictures,
+    Seed,
     checked_actions,
+    generator_of,
     infos_of,
     observations_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.rendering.painter import RENDER_FPS
+from limslam_env.overlay import Overlay
 
 
 class LimSlamVectorEnv(
@@ -96,7 +98,6 @@ class LimSlamVectorEnv(
 
     metadata: dict[str, Any] = {  # noqa: RUF012
         "render_modes": ["rgb_array"],
-        "render_fps": RENDER_FPS,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -135,8 +136,8 @@ class LimSlamVectorEnv(
             num_threads=num_threads,
         )
         self.render_mode = render_mode
+        self.overlays: Sequence[Overlay] = ()
         self._pictures = None if render_mode is None else BatchPictures(self._simulation)
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = (
             action_space(),
             observation_space(self.robot),
@@ -145,14 +146,15 @@ class LimSlamVectorEnv(
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed = None, options: dict[str, Any] | None = None
     ) -> tuple[BatchObservation, dict[str, Any]]:
         """Start new episodes.
 
         Parameters
         ----------
         seed
-            Of all random numbers from now on; without it they go on.
+            Of all random numbers from now on; without it they go on. A list has a seed for each
+            environment, whose numbers then depend on nothing else, or None for any seed.
         options
             ``start``: a pose (3,), m and rad, or one for each environment (n, 3). ``reset_mask``
             (n,): which environments are reset; the others stay as they are.
@@ -160,7 +162,7 @@ class LimSlamVectorEnv(
         Raises
         ------
         ValueError
-            If an option is unknown or has another shape.
+            If an option is unknown or has another shape, or there are not n seeds.
         WorldError
             If a start cannot be used. Then episodes go on as if nothing had been asked.
         """
@@ -195,15 +197,16 @@ class LimSlamVectorEnv(
         )
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture (640, 640, 3) of each environment; None without a render mode, and before the
+        """A picture (640, 640, 3) of each environment, with what its agent believes, if the
+        attribute ``overlays`` has an `Overlay` for each; None without a render mode, and before the
         first reset.
         """
-        return None if self._pictures is None else self._pictures.paint()
+        return None if self._pictures is None else self._pictures.paint(self.overlays)
 
-    def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Results, BoolArray]:
-        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+    def _begun(self, seed: Seed, options: dict[str, Any] | None) -> tuple[Results, BoolArray]:
+        generator = generator_of(seed, self.np_random)
         begun = self._begin(generator, seed, options)
-        if seed is not None:
+        if isinstance(seed, int):
             self._np_random = generator
             self._np_random_seed = seed
         return begun
@@ -248,6 +251,8 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
     (4, 6)
     """
 
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as gymnasium declares it)
+
     def __init__(
         self,
         world: BatchSource,
@@ -261,7 +266,6 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
         check_robots(num_robots)
         self._set_up(world, num_envs, num_robots, max_cycles, **arguments)
         self._shares_reward = shared_reward
-        self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = (
             action_space(),
             observation_space(self.robot),
@@ -275,7 +279,7 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
         self._generator: np.random.Generator | None = None
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self, *, seed: Seed = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, BatchObservation], dict[str, dict[str, Any]]]:
         """Start new episodes, as ``LimSlamVectorEnv`` does, with a seed and options, and with its
         errors.
@@ -283,9 +287,7 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
         The option ``start`` has poses (s, 3) of the first robots, m and rad, or such poses for each
         environment (n, s, 3).
         """
-        generator = self._generator
-        if seed is not None or generator is None:
-            generator, _ = seeding.np_random(seed)
+        generator = generator_of(seed, self._generator)
         results, mask = self._begin(generator, seed, options)
         self._generator = generator
         observations = self._each(lambda robot: observations_of(results, robot))

@@ -11,12 +11,15 @@ from typing import Any, SupportsFloat, TypeAlias
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers import FlattenObservation, FrameStackObservation
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import LARGEST_COORDINATE, check_number, plain
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import sample
 from limslam_env.geometry.shapes import places_around
@@ -27,6 +30,7 @@ __all__ = [
     "FlattenObservation",
     "FrameStackObservation",
     "NormalizedObservation",
+    "NormalizedVectorObservation",
     "PrivilegedLocalMap",
     "VelocityAction",
 ]
@@ -39,48 +43,139 @@ FREE = 127
 WALL = 255
 """Values of a local map's cells."""
 
+_LOWEST = {"ranges": 0.0, "wheels": -1.0, "pose": -1.0, "std": 0.0}
+"""Bounds of what is scaled, up to 1."""
+
+_VARIANCES = [0, 3, 5]
+"""Places of the variances in the upper triangle of a pose's covariance."""
+
 FORWARD = (1.0, 1.0)
 LEFT = (-0.4, 0.4)
 RIGHT = (0.4, -0.4)
 """Wheel speeds of the usual discrete actions, fractions of the maximum."""
 
 
-class NormalizedObservation(gym.ObservationWrapper[Observation, Any, Observation]):
-    """Ranges from 0 (a beam's shortest) to 1 (its longest, or nothing seen), wheel travel from -1
-    to 1.
+class NormalizedObservation(
+    gym.ObservationWrapper[Observation, Any, Observation], gym.utils.RecordConstructorArgs
+):
+    """Readings and beliefs, scaled to what networks learn from.
+
+    | Key        | Becomes                                                                      |
+    |------------|------------------------------------------------------------------------------|
+    | ranges     | from 0 (a beam's shortest) to 1 (its longest, or nothing seen)               |
+    | wheels     | from -1 to 1                                                                 |
+    | pose       | (4,), -1 to 1: place as a share of ``reach``, cosine and sine of the heading |
+    | covariance | ``std`` (3,), 0 to 1: standard deviations of the pose (m, m, rad), at most 1 |
+
+    Other keys stay as they are.
 
     Parameters
     ----------
     env
-        An environment with ``ranges`` and ``wheels`` in its observation; other keys stay as they
-        are.
+        An environment with ``ranges`` in its observation, such as ``SlamObservation``.
+    reach
+        Distance from the start at which a place is 1, m.
+
+    Raises
+    ------
+    ValueError
+        If there are no ranges, or the reach is not above 0.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> from limslam_agent import SlamObservation
+    >>> from limslam_env.envs.wrappers import NormalizedObservation
+    >>> env = NormalizedObservation(SlamObservation(gym.make("LimSlam-Env1-v0")))
+    >>> {key: part.shape for key, part in env.reset(seed=0)[0].items()}
+    {'ranges': (6,), 'grid': (1, 40, 40), 'pose': (4,), 'std': (3,)}
     """
 
-    def __init__(self, env: Env) -> None:
+    def __init__(self, env: Env, reach: float = 10.0) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, reach=plain(reach))
         super().__init__(env)
-        space = _dict_space(env)
-        self._ranges = _box(space, "ranges")
-        self._wheels = _box(space, "wheels")
-        scaled = {
-            "ranges": spaces.Box(0.0, 1.0, self._ranges.shape, np.float32),
-            "wheels": spaces.Box(-1.0, 1.0, self._wheels.shape, np.float32),
-        }
-        self.observation_space = spaces.Dict({**space.spaces, **scaled})
+        self._scaling = _Scaling(env.observation_space, reach)
+        self.observation_space = self._scaling.space
 
     def observation(self, observation: Observation) -> Observation:
         """The observation, scaled."""
-        low = self._ranges.low
-        high = self._ranges.high
-        ranges = np.clip((observation["ranges"] - low) / (high - low), 0.0, 1.0)
-        wheels = np.clip(observation["wheels"] / self._wheels.high, -1.0, 1.0)
-        return {
-            **observation,
-            "ranges": ranges.astype(np.float32),
-            "wheels": wheels.astype(np.float32),
+        return self._scaling.scaled(observation)
+
+
+class NormalizedVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unused-ignore]
+    """`NormalizedObservation` for a batch of environments, also for its ``final_obs``.
+
+    Examples
+    --------
+    >>> import gymnasium as gym
+    >>> from limslam_env.envs.wrappers import NormalizedVectorObservation
+    >>> envs = NormalizedVectorObservation(gym.make_vec("LimSlam-Env1-v0", num_envs=4))
+    >>> float(envs.reset(seed=0)[0]["ranges"].max())
+    1.0
+    """
+
+    def __init__(self, env: VectorEnv[Any, Any, Any], reach: float = 10.0) -> None:
+        super().__init__(env)
+        self._scaling = _Scaling(env.single_observation_space, reach)
+        self.single_observation_space = self._scaling.space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start new episodes."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._scaling.scaled(observation), info
+
+    def step(self, actions: Any) -> tuple[Observation, Any, Any, Any, dict[str, Any]]:
+        """Drive for one control period."""
+        observation, rewards, terminated, truncated, info = self.env.step(actions)
+        for place in np.flatnonzero(info.get("_final_obs", ())):
+            info["final_obs"][place] = self._scaling.scaled(info["final_obs"][place])
+        return self._scaling.scaled(observation), rewards, terminated, truncated, info
+
+
+class _Scaling:
+    """How the parts of an observation are scaled, of one environment or of many in rows."""
+
+    def __init__(self, space: gym.Space[Any], reach: float) -> None:
+        if not isinstance(space, spaces.Dict) or "ranges" not in space.spaces:
+            raise ValueError(f"the observation must hold ranges, not {space}")
+        check_number("the reach", reach, 1e-3, LARGEST_COORDINATE, "m")
+        self._parts = space
+        self._reach = reach
+        example = {key: np.zeros(part.shape or ()) for key, part in space.items()}
+        self.space = spaces.Dict(
+            {
+                key: spaces.Box(_LOWEST[key], 1.0, part.shape, np.float32)
+                if key in _LOWEST
+                else space[key]
+                for key, part in self.scaled(example).items()
+            }
+        )
+
+    def scaled(self, seen: Observation) -> Observation:
+        """The observation, in new arrays where it is scaled."""
+        ranges: Any = self._parts["ranges"]
+        found = {"ranges": (seen["ranges"] - ranges.low) / (ranges.high - ranges.low)}
+        kept = {key: part for key, part in seen.items() if key != "covariance"}
+        if "wheels" in seen:
+            wheels: Any = self._parts["wheels"]
+            found["wheels"] = seen["wheels"] / wheels.high
+        if "pose" in seen:
+            place, heading = seen["pose"][..., :2], seen["pose"][..., 2:]
+            turned = np.cos(heading), np.sin(heading)
+            found["pose"] = np.concatenate((place / self._reach, *turned), axis=-1)
+        if "covariance" in seen:
+            found["std"] = np.sqrt(seen["covariance"][..., _VARIANCES].clip(0.0))
+        return kept | {
+            key: part.clip(_LOWEST[key], 1.0).astype(np.float32) for key, part in found.items()
         }
 
 
-class VelocityAction(gym.ActionWrapper[Observation, NDArray[np.floating[Any]], Any]):
+class VelocityAction(
+    gym.ActionWrapper[Observation, NDArray[np.floating[Any]], Any], gym.utils.RecordConstructorArgs
+):
     """Act by (v, omega): speed ahead and rate of turn (counter-clockwise), each a fraction of its
     maximum, -1 to 1.
 
@@ -90,6 +185,7 @@ class VelocityAction(gym.ActionWrapper[Observation, NDArray[np.floating[Any]], A
     """
 
     def __init__(self, env: Env) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
         super().__init__(env)
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
@@ -108,7 +204,7 @@ class VelocityAction(gym.ActionWrapper[Observation, NDArray[np.floating[Any]], A
         return np.asarray(wheels / max(1.0, float(np.abs(wheels).max())), dtype=np.float32)
 
 
-class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
+class DiscreteAction(gym.ActionWrapper[Observation, int, Any], gym.utils.RecordConstructorArgs):
     """Act by the number of a move: ahead, turn left, turn right, unless ``moves`` says otherwise.
 
     Parameters
@@ -127,6 +223,7 @@ class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
     def __init__(
         self, env: Env, moves: Sequence[tuple[float, float]] = (FORWARD, LEFT, RIGHT)
     ) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, moves=plain(moves))
         super().__init__(env)
         self._moves = np.array(moves, dtype=np.float32)
         if (
@@ -152,7 +249,9 @@ class DiscreteAction(gym.ActionWrapper[Observation, int, Any]):
         return np.array(self._moves[action])
 
 
-class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
+class PrivilegedLocalMap(
+    gym.Wrapper[Observation, Any, Observation, Any], gym.utils.RecordConstructorArgs
+):
     """Add ``local_map``: the cells seen so far around the robot's true pose. **Privileged**: it
     uses the ground truth.
 
@@ -174,6 +273,7 @@ class PrivilegedLocalMap(gym.Wrapper[Observation, Any, Observation, Any]):
     """
 
     def __init__(self, env: Env, size: int = 40) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, size=size)
         super().__init__(env)
         if size < 1:
             raise ValueError(f"a local map needs at least one cell, not {size}")
@@ -235,10 +335,3 @@ def _dict_space(env: Env) -> spaces.Dict:
     if not isinstance(space, spaces.Dict) or not {"ranges", "wheels"} <= set(space.spaces):
         raise ValueError(f"the observation must hold ranges and wheels, not {space}")
     return space
-
-
-def _box(space: spaces.Dict, key: str) -> spaces.Box:
-    box = space[key]
-    if isinstance(box, spaces.Box):
-        return box
-    raise ValueError(f"{key} must be a Box, not {box}")

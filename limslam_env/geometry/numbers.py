@@ -3,6 +3,10 @@ the tables of compiled code.
 """
 
 import operator
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
 from numbers import Real
 from typing import Any
 
@@ -30,6 +34,23 @@ def floats(values: Any) -> FloatArray:
     except ValueError:  # rows of unequal length
         return np.zeros(0)
     return array.astype(np.float64) if array.dtype.kind in "fiu" else np.zeros(0)
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON holds it: numbers and arrays of numpy, settings and worlds, paths and
+    sequences become plain numbers, tables, texts and lists.
+    """
+    if is_dataclass(value):
+        return {part.name: plain(getattr(value, part.name)) for part in fields(value)}
+    if isinstance(value, Mapping):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return [plain(each) for each in value]
+    if isinstance(value, Enum):
+        return value.value
+    return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
 def check_number(what: str, value: Any, low: float, high: float, unit: str = "") -> None:

@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from limslam_env.geometry import FloatArray
 
 if TYPE_CHECKING:
-    from limslam_env.rendering.overlay import Overlay
+    from limslam_env.overlay import Overlay
     from limslam_env.rendering.window import Window
     from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 RENDER_MODES = ("rgb_array", "human")
-RENDER_FPS = 10
 
 
 class Painter:
@@ -24,7 +23,7 @@ class Painter:
     set.
 
     ``mode`` is ``"rgb_array"``, ``"human"`` or None; others are refused, and so is a window that
-    needs what is not installed.
+    needs what is not installed. A window shows ``fps`` pictures a second.
 
     Attributes
     ----------
@@ -34,7 +33,7 @@ class Painter:
         The agents' estimates, drawn on top; agents set it.
     """
 
-    def __init__(self, mode: str | None) -> None:
+    def __init__(self, mode: str | None, fps: float) -> None:
         if mode == "human" and find_spec("pygame") is None:
             raise DependencyNotInstalled('a window needs pygame: pip install "limslam[play]"')
         if mode is not None and mode not in RENDER_MODES:
@@ -42,6 +41,7 @@ class Painter:
                 f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}"
             )
         self.mode = mode
+        self._fps = fps
         self.window: Window | None = None
         self._last: tuple[Readings, Truth] | None = None
         self._paths: list[list[FloatArray]] = []
@@ -93,7 +93,7 @@ class Painter:
         if self.window is None:
             from limslam_env.rendering.window import Window
 
-            self.window = Window(f"LimSLAM: {simulation.world.name}", RENDER_FPS)
+            self.window = Window(f"LimSLAM: {simulation.world.name}", self._fps)
         self.window.show(picture)
         return None
 

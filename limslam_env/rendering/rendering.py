@@ -27,7 +27,7 @@ from limslam_env.canvas import (
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
-from limslam_env.rendering.overlay import Overlay
+from limslam_env.overlay import Overlay
 from limslam_env.simulation.coverage import CELL
 from limslam_env.worlds.picture import (
     HEIGHT,

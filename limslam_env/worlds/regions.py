@@ -3,6 +3,7 @@
 import functools
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from scipy import ndimage
 
@@ -13,7 +14,8 @@ from limslam_env.worlds.world import World
 SMALL_SHARE = 0.5
 """Share of the floor below which a start region counts as small."""
 
-# share of the rectangle around a building below which its enclosed floor is hardly all of it
+# share of what is not solid in the rectangle around a building, below which its enclosed floor is
+# hardly all of its floor
 _OPEN_SHARE = 0.25
 
 
@@ -27,8 +29,8 @@ class StartRegion:
         Floor that robots can cover from the starts, m^2. In a world without starts, that of the
         largest closed region.
     floor, is_open
-        All floor that is enclosed by walls, m^2, or the rectangle around all walls, if so little is
-        enclosed that the outer wall must be open.
+        All floor that is enclosed by walls, m^2, or the rectangle around all walls without its
+        obstacles, if so little is enclosed that the outer wall must be open.
     """
 
     area: float
@@ -64,7 +66,8 @@ def start_region(world: World, radius: float) -> StartRegion:
     closed = space.free & ~np.isin(space.labels, space.border_labels)
     area = covered_area(starting_cells(world, space), space, radius)
     floor = covered_area(closed, space, radius)
-    around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0)))
+    solid = sum(cv2.contourArea(polygon.astype(np.float32)) for polygon in world.obstacles)
+    around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0))) - solid
     is_open = floor < _OPEN_SHARE * around
     return StartRegion(area, around if is_open else floor, is_open)
 

@@ -244,7 +244,7 @@ def test_small_angles_in_degrees_are_accepted(degrees):
     assert len(beams_on_rim(degrees, 0.1)) == len(degrees)
 
 
-NUM_BEAMS = {"paper": 6, "e-puck": 8, "four-beam-drone": 4, "ring": 36}
+NUM_BEAMS = {"paper": 6, "e-puck": 8, "four-beam-drone": 4, "ring": 36, "lidar": 360}
 
 
 def test_every_robot_is_looked_at_here():
@@ -300,8 +300,16 @@ def test_a_ring_s_beams_are_evenly_spread_from_ahead_on(count):
 
 @pytest.mark.parametrize("count", [0, -3])
 def test_a_ring_without_beams_is_refused(count):
-    with pytest.raises(ValueError, match=f"a ring needs at least one beam, not {count}"):
-        robots.ring(count)
+    for make in (robots.ring, RobotSpec.lidar):
+        with pytest.raises(ValueError, match=f"must be a whole number from 1 to 4096, not {count}"):
+            make(count)
+
+
+def test_the_beams_of_a_laser_scanner_start_at_the_middle_of_the_robot():
+    robot = RobotSpec.lidar(8, 4.0, radius=0.2)
+    np.testing.assert_allclose(robot.beam_angles, 0.25 * math.pi * np.arange(8))
+    np.testing.assert_array_equal(robot.beam_origins, np.zeros((8, 2)))
+    assert (robot.radius, robot.reach) == (0.2, 4.0)
 
 
 @pytest.mark.parametrize(
@@ -387,7 +395,10 @@ MAKERS = {
             {"noise": 0.02},
             r"noise must be a NoiseConfig, such as NoiseConfig\(sensor_noise=\.\.\.\), not 0\.02",
         ),
-        ({"rewards": {"step": -0.1}}, r"rewards must be a RewardConfig, such as RewardConfig\("),
+        ({"rewards": -0.1}, r"rewards must be a RewardConfig, such as RewardConfig\("),
+        ({"rewards": {"stop": -0.1}}, r"rewards has no setting 'stop'; there are new_area, step"),
+        ({"robot": {"beams": [{"x": 0.0}]}}, r"robot: each beam of a robot must be a SensorSpec"),
+        ({"noise": {"dropout": 2}}, r"dropout must be a number from 0 to 1"),
         (
             {"robot": "e_puck"},
             r"robot must be a RobotSpec, such as RobotSpec\(radius=\.\.\.\), not 'e_puck'",

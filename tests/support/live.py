@@ -111,14 +111,20 @@ class Wire:
 
 
 def session_with(
-    wire, *, name="consistent", policy=None, watch=lambda _: None, obey=lambda _: None
+    wire,
+    *,
+    name="consistent",
+    policy=None,
+    watch=lambda _: None,
+    orders=None,
+    listen=lambda: None,
 ):
     """A session with the robot at the end of a wire, after its hello."""
     link = Link(wire, wire.clock)
     hello = link.first_hello(30.0)
     recording = Recording(RobotSpec(), hello)
     agent = LimSlamAgent(recording.robot, preset(name, NominalNoise(NOISE)), policy)
-    return Session(link, hello, agent, recording, watch, obey)
+    return Session(link, hello, agent, recording, watch, orders, listen)
 
 
 def start_emulator(*options):

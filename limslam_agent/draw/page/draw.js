@@ -10,7 +10,7 @@ const TOOLS = {
   door: {key: 'd', title: 'Door', hint: 'Click both ends of an opening in a wall, or drag.'},
   obstacle: {key: 'o', title: 'Obstacle', hint: 'Drag a box, or click the corners of a polygon and then the first one again.'},
   start: {key: 's', title: 'Start', hint: 'Click where a robot starts, and then where it looks, or drag.'},
-  picture: {key: 'p', title: 'Scale picture', hint: 'Click two points whose distance you know. Drag to move the picture.'},
+  picture: {key: 'p', title: 'Scale picture', hint: 'Click two points whose distance you know. The first one moves onto the grid. Drag to move the picture.'},
 };
 const KINDS = {walls: 'Wall', doors: 'Door', obstacles: 'Obstacle', starts: 'Start'};
 const LABELS = {walls: ['x1', 'y1', 'x2', 'y2'], doors: ['x1', 'y1', 'x2', 'y2'], starts: ['x', 'y', 'looks to, deg']};
@@ -114,6 +114,7 @@ function move(thing, corner, dx, dy) {
 // What has lost its length in a move goes.
 function clean() {
   for (const kind of ['walls', 'doors']) world[kind] = world[kind].filter((row) => !same(row, row.slice(2)));
+  world.obstacles = world.obstacles.map((polygon) => polygon.filter((corner, index) => !same(corner, polygon[(index + 1) % polygon.length]))).filter((polygon) => polygon.length > 2);
   if (selected && !world[selected.kind][selected.index]) selected = null;
 }
 
@@ -143,8 +144,8 @@ function askScale(a, b) {
   dialog.onclose = () => {
     const metres = Number(byId('metres').value);
     if (dialog.returnValue !== 'scale' || !(metres > 0)) return;
-    const factor = metres / Math.hypot(b[0] - a[0], b[1] - a[1]), {x, y, scale} = picture.place;
-    change(() => { picture.place = {x: a[0] + (x - a[0]) * factor, y: a[1] + (y - a[1]) * factor, scale: scale * factor}; });
+    const factor = metres / Math.hypot(b[0] - a[0], b[1] - a[1]), {x, y, scale} = picture.place, to = onGrid(a);
+    change(() => { picture.place = {x: to[0] + (x - a[0]) * factor, y: to[1] + (y - a[1]) * factor, scale: scale * factor}; });
     fit();
   };
   dialog.showModal();

@@ -359,7 +359,8 @@ async function start() {
 // none has come for a while.
 async function nextState(known) {
   const answer = await fetch(`/recording?${known}`);
-  return {number: Number(answer.headers.get('X-State')), isOver: answer.headers.get('X-Over') === '1', text: await answer.text()};
+  const [number, isOver, orders] = ['X-State', 'X-Over', 'X-Orders'].map((name) => JSON.parse(answer.headers.get(name)));
+  return {number, isOver: isOver === 1, orders, text: await answer.text()};
 }
 
 // The first state, which may not have come yet.
@@ -376,17 +377,21 @@ async function watch(player, first) {
   const say = (words) => { byId('check').textContent = words; };
   say('The run goes on now. Stay at the end to follow it.');
   player.stopAt(player.recording.frames - 1);
+  const token = new URLSearchParams(location.search).get('token');
+  const orders = token && new Orders(player, token);
   let known = first, isOver = false;
   try {
     while (!isOver) {
       const state = await nextState(known);
       if (state.text) player.replace(await unpack(state.text));
+      if (orders && state.orders) orders.show(state.orders);
       ({number: known, isOver} = state);
     }
     say('The run is over.');
   } catch {
     say('The run is over, or the connection is lost.');
   }
+  if (orders) orders.end();
   document.body.dataset.state = 'over';
 }
 

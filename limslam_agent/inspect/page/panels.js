@@ -200,7 +200,7 @@ function showHough(recording, frame, colours, isForced) {
   const small = image.getContext('2d'), pixels = small.createImageData(bins, rows), words = new Uint32Array(pixels.data.buffer);
   const ramp = colours.heat.map((colour) => channels(colour));
   for (let r = 0; r < rows; r++) for (let b = 0; b < bins; b++) {
-    words[(rows - 1 - r) * bins + b] = blended(ramp, votes[r * bins + b] / most);
+    words[(rows - 1 - r) * bins + b] = blended(ramp, Math.sqrt(votes[r * bins + b] / most));  // single curves stay visible
   }
   small.putImageData(pixels, 0, 0);
   pen.imageSmoothingEnabled = false;
@@ -211,7 +211,7 @@ function showHough(recording, frame, colours, isForced) {
     const turned = Math.floor(theta / Math.PI), about = r - mean[0] * Math.cos(theta) - mean[1] * Math.sin(theta);
     const x = left + ((theta - turned * Math.PI) / Math.PI) * wide, y = 6 + high * (0.5 - (turned % 2 === 0 ? about : -about) / (2 * reach));
     pen.beginPath();
-    pen.arc(x, y, 7, 0, 2 * Math.PI);
+    pen.arc(Math.min(Math.max(x, left + 8), left + wide - 4), Math.min(Math.max(y, 8), high - 2), 7, 0, 2 * Math.PI);  // all of it is seen
     pen.stroke();
   }
   pen.fillStyle = colours.text;

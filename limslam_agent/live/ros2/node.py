@@ -18,6 +18,7 @@ import numpy as np
 
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.tables import updated
+from limslam_agent.live.orders import Orders
 from limslam_agent.logs.ros_messages import stamp_of
 from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
@@ -36,6 +37,8 @@ PACKAGES = (
 
 BEGIN = "--ros-args"
 """What arguments for ROS begin with."""
+
+STOPPED = "stopped: a message on explore/stop"
 
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 _DEPTH = 50  # number of messages that wait for a busy host
@@ -112,21 +115,6 @@ class Event(NamedTuple):
     message: Any
 
 
-@dataclass
-class Orders:
-    """What the topics of ``explore`` have asked for."""
-
-    is_paused: bool = False  # Whether to map only
-    # Whether to drive back to the start, and to end at once
-    go_home: bool = False
-    stop: bool = False
-
-    @property
-    def shall_stand(self) -> bool:
-        """Whether the session shall move no wheel."""
-        return self.is_paused or self.stop
-
-
 class RosNode:
     """A node of rclpy with the topics of a live robot. Its messages are taken by another thread
     than the one that listens. ``watchdog_stops`` is the number of times that the watchdog has
@@ -137,7 +125,10 @@ class RosNode:
         self._node = node
         self.build = MessageBuilder(make)
         self.parameters = Parameters.of(_set_parameters(node))
-        self.orders = Orders(is_paused=not self.parameters.explore)
+        self.orders = Orders(
+            is_paused=not self.parameters.explore,
+            when_explored="home" if self.parameters.return_to_init else "end",
+        )
         self.watchdog_stops = 0
         self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -242,15 +233,15 @@ class RosNode:
         return hear
 
     def _resume(self, message: Any) -> None:
-        self.orders.is_paused = not message.data
+        (self.orders.go_on if message.data else self.orders.pause)()
 
     def _stop(self, message: Any) -> None:
-        self.orders.stop |= message.data
+        if message.data:
+            self.orders.end = STOPPED
 
     def _return_home(self, message: Any) -> None:
         if message.data:
-            self.orders.go_home = True
-            self.orders.is_paused = False
+            self.orders.go_home()
 
     def _publish_speeds(self, twist: Any) -> None:
         self._latest = twist

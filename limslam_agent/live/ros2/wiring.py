@@ -1,5 +1,5 @@
-"""Connects a session with the node: the connection, the policy, what is published, and the orders
-that it gets.
+"""Connects a session with the node: the connection, what is published, and the orders that it
+gets.
 """
 
 import time
@@ -8,17 +8,11 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import Any
 
-from limslam_agent.config.presets import AgentConfig
 from limslam_agent.live.ros2.link import RosLink
 from limslam_agent.live.ros2.node import RosNode, check_installed, ros_node
 from limslam_agent.live.ros2.odometer import map_to_odom
 from limslam_agent.live.session import Session, Wired
-from limslam_agent.policies.policy import Policy
-from limslam_agent.policies.wall_policy import explorer
-from limslam_agent.policies.way_home import WayHome
 from limslam_env.interface import RobotSpec
-
-STOPPED = "stopped: a message on explore/stop"
 
 _LEVELS = {
     "ok": b"\x00",
@@ -28,7 +22,7 @@ _LEVELS = {
 
 
 class Outputs:
-    """Publishes pose, transform, map, walls and status of a session, and passes orders on to it."""
+    """Publishes pose, transform, map, walls and status of a session."""
 
     def __init__(self, node: RosNode, link: RosLink) -> None:
         self._node = node
@@ -48,20 +42,11 @@ class Outputs:
     def watch(self, session: Session) -> None:
         """Publish what the session believes after a decision."""
         self._publish_pose(session)
-        state = state_of(session), session.agent.status
+        state = session.state, session.agent.status
         if time.monotonic() >= self._next_map or state != self._published:
             self._published = state
             self._next_map = time.monotonic() + self._node.parameters.map_period
             self._publish_map(session)
-
-    def obey(self, session: Session) -> None:
-        """Pass orders on to a session."""
-        orders = self._node.orders
-        session.is_paused = orders.is_paused
-        if orders.go_home:
-            policy_of(session).go_home()
-        if orders.stop:
-            session.asked_to_end = STOPPED
 
     def _publish_pose(self, session: Session) -> None:
         sample = self._link.newest
@@ -94,7 +79,7 @@ class Outputs:
         make = self._node.build.make
         agent = session.agent
         figures = {
-            "state": state_of(session),
+            "state": session.state,
             "walls": len(agent.slam.segments),
             **session.figures,
             "odometry_jumps": self._link.jumps,
@@ -117,27 +102,10 @@ class Outputs:
         return make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
 
 
-def policy_of(session: Session) -> WayHome:
-    """The policy that drives a robot of ROS 2."""
-    policy = session.agent.policy
-    assert isinstance(policy, WayHome)  # noqa: S101 (as it was wired)
-    return policy
-
-
-def state_of(session: Session) -> str:
-    """What the robot is doing, in a word or a few."""
-    if session.agent.stop_reason is not None or session.asked_to_end is not None:
-        return "done"
-    if session.is_paused:
-        return "paused"
-    return "driving home" if policy_of(session).is_going_home else "exploring"
-
-
 @contextmanager
 def wired_by_ros(described: RobotSpec | None, arguments: Sequence[str]) -> Iterator[Wired]:
     """A robot of ROS 2, until the context ends.
 
-    After the policy that was asked for, it drives home, where the parameters or an order say so.
     Raises a ValueError if ROS 2 is not installed, the robot is not described, or an argument or a
     parameter cannot be used.
     """
@@ -150,10 +118,4 @@ def wired_by_ros(described: RobotSpec | None, arguments: Sequence[str]) -> Itera
     with ros_node(arguments) as node:
         node.parameters.check(described)
         link = RosLink(node, described, node.parameters)
-        outputs = Outputs(node, link)
-
-        def policy(asked: Policy | None, config: AgentConfig, robot: RobotSpec) -> WayHome:
-            always = node.parameters.return_to_init
-            return WayHome(asked or explorer(robot, config), robot, config.policy, always=always)
-
-        yield Wired(link, "of ROS 2", lambda _: link.robot, policy, outputs.watch, outputs.obey)
+        yield Wired(link, "of ROS 2", lambda _: link.robot, Outputs(node, link).watch, node.orders)

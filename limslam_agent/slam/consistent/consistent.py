@@ -272,25 +272,6 @@ class ConsistentEstimator(Estimator):
         )
         self.filter.relocate(pose, covariance, robot, by_lines)
 
-    def close(
-        self, pose: FloatArray, covariance: FloatArray, ends: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
-        """Close a loop: readings that end at points (n, 2) have found the pose (3,) of the robot
-        among the walls there.
-
-        ``covariance`` (3, 3) is that of the match. Readings that are still pending are used before.
-        Where the world has moved is returned: anchors (m, 2) of walls, and the rigid motion (m, 3)
-        around each of them. It is None, and nothing changes, if the estimate does not explain that
-        the robot is there.
-        """
-        self.finish()
-        before = self.map_state
-        found = before.closed(pose, covariance, ends)
-        if found is None:
-            return None
-        self.renew(found[0])
-        return before.anchors, found[1]
-
     def _predict(self, number: int, motion: Motion) -> None:
         """Predict the pose of a robot, whose motion is less certain if it touches something, as the
         wheels show.

@@ -1,10 +1,11 @@
 """The online graph: the pose while driving, in a local frame whose place the graph of chunks gives.
 
 The step follows the odometry, corrected for the errors that are known, from the last event that was
-smoothed. It costs some microseconds. After each 2.5 m of driving, a job smooths the last metres,
-draws a chunk when one is complete, searches for its loops, and solves the graph of chunks. A robot
-would do the job beside its steps. Its result therefore counts from the next key pose on, some
-decimetres later. The pose of the local frame in the world jumps only then.
+smoothed. It costs some microseconds. After each metre of driving, a job smooths the last
+metres. After each 2.5 m, when a chunk is complete, it also draws the chunk, searches for its loops,
+and solves the graph of chunks. A robot would do the job beside its steps. Its result therefore
+counts from the next key pose on, some decimetres later. The pose of the local frame in the world
+jumps only then.
 
 Nothing here knows later events: the pose at an event is a function of the events up to it.
 """
@@ -33,12 +34,15 @@ from limslam_agent.slam.map_graph.window import (
     smooth_window,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import between, compose, compose_jacobians
+from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
 
 _WINDOW = 6
 """Distance driven that is smoothed, in hops between chunks: 15 m, since the walls of the local
 smoothing reach over 10 m, and a chunk over 7 m.
 """
+
+_EACH = 1.0
+"""Distance driven after which the last metres are smoothed, m."""
 
 _REVISED = 2
 """Number of earlier motions between chunks that each window estimates anew."""
@@ -48,7 +52,7 @@ _REVISED = 2
 class Anchor:
     """A smoothed event, from which the steps go on."""
 
-    ridden: FloatArray  # pose (3,) of the event by corrected odometry alone
+    ridden: FloatArray  # pose (3,) by corrected odometry alone when the event was measured
     # Sums (3,) of the variances of all motions by odometry up to the event (along, across,
     # heading), m^2 and rad^2
     variances: FloatArray
@@ -107,6 +111,7 @@ class OnlineGraph:
         # kept, and its covariance (3, 3); None while the middle of that chunk is kept
         self._blind: tuple[FloatArray, FloatArray] | None = None
         self._waiting: Anchor | None = None
+        self._frame: LocalFrame | None = None  # the last window
         self._chunk_std = 0.0
         self._first_covariance = np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
@@ -116,6 +121,8 @@ class OnlineGraph:
         self._reversed = list[
             tuple[int, int]
         ]()  # stretches that are to be turned round if that is proven
+        # distances driven at which the last metres are smoothed, and the next chunk is complete
+        self._smooth_at = _EACH
         self._job_at = _remainder(self._config.maps)
         self._key_travel = 0.0
         self._key_turned = 0.0
@@ -158,21 +165,21 @@ class OnlineGraph:
         else:
             self._variances = self._variances + break_stds**2
             # The next chunk lies behind the break as a whole.
-            self._job_at = recent.travel + 2.0 * self._config.maps.half
+            self._job_at = self._smooth_at = recent.travel + 2.0 * self._config.maps.half
         if self._is_key_pose():
             self._key_travel = recent.travel
             self._key_turned = recent.turned
             if self._waiting is not None:
                 self._anchor = self._waiting
                 self._waiting = None
-            if recent.travel >= self._job_at:
+            if recent.travel >= min(self._smooth_at, self._job_at):
                 begin = clock.perf_counter()
                 self._do_job()
                 self.job_ms = 1e3 * (clock.perf_counter() - begin)
-        motion = between(self._anchor.ridden, self._ridden)
-        own = np.diag(self._variances - self._anchor.variances)
-        self.pose = compose(self._anchor.pose, motion)
-        self.covariance = moved_covariance(self._anchor.pose, self._anchor.covariance, motion, own)
+        anchor = self._anchor
+        motion, own = self._since_anchor()
+        self.pose = compose(anchor.pose, motion)
+        self.covariance = moved_covariance(anchor.pose, anchor.covariance, motion, own)
 
     @property
     def position_std(self) -> float:
@@ -184,25 +191,52 @@ class OnlineGraph:
         moved = self._variances - self._anchor.variances
         return float(np.sqrt(self._chunk_std**2 + moved[:2].sum()))
 
+    def _ridden_at(self, errors: FloatArray) -> FloatArray:
+        """Pose (3,) by corrected odometry at the time at which the ranges were measured."""
+        since = calibrated(self._recent.motion_during(errors[3])[None], errors)[0]
+        return compose(self._ridden, inverse(since))
+
     def _is_key_pose(self) -> bool:
         driven = self._recent.travel - self._key_travel
         turned = self._recent.turned - self._key_turned
         return driven >= KEY_DISTANCE or turned >= KEY_TURN
 
+    @property
+    def _last_chunk(self) -> FloatArray:
+        """Pose (3,) of the last chunk, or of the start."""
+        return self._start if self.places is None else self.places.poses[-1]
+
+    def _since_anchor(self) -> tuple[FloatArray, FloatArray]:
+        """Motion (3,) since the anchor by corrected odometry, and its covariance (3, 3)."""
+        motion = between(self._anchor.ridden, self._ridden_at(self._anchor.errors))
+        return motion, np.diag(self._variances - self._anchor.variances)
+
+    def _since_chunk(self) -> tuple[FloatArray, FloatArray]:
+        """Motion (3,) since the last chunk, or since the start, and its covariance (3, 3)."""
+        before = between(self._last_chunk, self._anchor.pose)
+        motion, own = self._since_anchor()
+        return compose(before, motion), moved_covariance(before, self._anchor.since, motion, own)
+
     def _do_job(self) -> None:
         """Smooth the last metres and find their place. The result waits until the next key pose."""
         maps = self._config.maps
         recent = self._recent
+        is_complete = recent.travel >= self._job_at
+        self._smooth_at = recent.travel + _EACH
         while self._job_at <= recent.travel:
             self._job_at += maps.hop
-        driven = recent.travel - recent.travel_at(recent.first)
-        frame = smooth_window(
-            self._directed(), self.errors, self._config, min(1.0, maps.hop / driven)
-        )
+        data = self._directed() if is_complete else recent.data(self._log)
+        frame = smooth_window(data, recent.first, self.errors, self._config, self._frame)
+        self._frame = frame
+        if not is_complete:
+            if frame is not None:
+                self._waiting = self._followed(frame)
+            return
         if frame is None:
             self._begin_anew()
             return
-        self.errors = frame.errors
+        driven = recent.travel - recent.travel_at(recent.first)
+        self.errors = frame.learned(self.errors, min(1.0, maps.hop / driven))
         self._waiting = self._placed(frame)
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
@@ -215,16 +249,19 @@ class OnlineGraph:
 
         Odometry alone tells the motion since the last chunk.
         """
-        chunk = self._start if self.places is None else self.places.poses[-1]
-        before = between(chunk, self._anchor.pose)
-        motion = between(self._anchor.ridden, self._ridden)
-        own = np.diag(self._variances - self._anchor.variances)
-        covariance = moved_covariance(before, self._anchor.since, motion, own)
-        self._blind = compose(before, motion), covariance
+        self._blind = self._since_chunk()
         self._middles = [self._recent.last]
         self._recent.forget_before(self._recent.last)
         # The next chunk lies behind this event as a whole.
-        self._job_at = self._recent.travel + 2.0 * self._config.maps.half
+        self._job_at = self._smooth_at = self._recent.travel + 2.0 * self._config.maps.half
+
+    def _followed(self, frame: LocalFrame) -> Anchor:
+        """The last event of a window that completes no chunk. It counts as no better known than by
+        odometry since the last anchor.
+        """
+        driven = between(frame.poses[self._middles[-1] - frame.first], frame.poses[-1])
+        pose = compose(self._last_chunk, driven)
+        return replace(self._anchor, ridden=self._ridden_at(self._anchor.errors), pose=pose)
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -243,6 +280,7 @@ class OnlineGraph:
         if self._proofs >= reversing.fewest:
             for begin, end in self._reversed:
                 recent.turn_round(begin, end)
+                self._frame = None
             self._reversed.clear()
         return recent.data(self._log)
 
@@ -266,7 +304,7 @@ class OnlineGraph:
         motion = between(frame.trajectory.poses[key], frame.poses[-1])
         own = inflated(frame.covariances(np.array([key, last])))[0]
         return Anchor(
-            self._ridden,
+            self._ridden_at(self.errors.mean),
             self._variances,
             compose(pose, motion),
             moved_covariance(pose, covariance, motion, own),

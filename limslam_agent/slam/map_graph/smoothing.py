@@ -31,6 +31,7 @@ _WALL_PRIOR = 0.01  # inverse variance of the turn, rad^2, and of the offset, m^
 # of the standard deviations of links, where more than the local trajectory follows from them
 _INFLATION = 1.5
 _BUNDLE_ITERATIONS = 6
+_FURTHER = 2  # iterations of a window whose earlier part is smooth
 # m, within which points of different visits are linked, at first and at last
 _RADIUS = 0.4
 _LAST_RADIUS = 0.2
@@ -56,6 +57,13 @@ def smooth_locally(keys: KeyPoses, trajectory: Trajectory) -> Trajectory:
         near = replace(walls, window=window, tolerance=widening * walls.tolerance)
         graph = _graph(keys, trajectory, walls=near, wall_factor=widening)
         trajectory = _chained(trajectory, graph)
+    return trajectory
+
+
+def smooth_further(keys: KeyPoses, trajectory: Trajectory) -> Trajectory:
+    """Smooth along the way from a trajectory of which all but the end is smooth."""
+    for _ in range(_FURTHER):
+        trajectory = _chained(trajectory, _graph(keys, trajectory, walls=keys.config.lines))
     return trajectory
 
 
@@ -94,6 +102,13 @@ def cautious_graph(keys: KeyPoses, trajectory: Trajectory) -> Graph:
     return _graph(keys, trajectory, link_factor=_INFLATION)
 
 
+def odometry_graph(keys: KeyPoses, trajectory: Trajectory) -> Graph:
+    """The graph of odometry alone."""
+    graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS)))
+    _add_odometry(graph, keys, trajectory)
+    return graph
+
+
 def motion_covariances(graph: Graph, poses: FloatArray, numbers: IntArray) -> FloatArray:
     """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses
     (m, 3).
@@ -121,9 +136,7 @@ def _graph(
     lines = find_lines(cloud, walls) if walls else None
     count = len(lines.angles) if lines else 0
     graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2)))
-    graph.add(odometry(keys, trajectory))
-    known = np.diag(np.array(config.motion.stds) ** -2.0)
-    graph.add(prior("errors", trajectory.bias[None], known))
+    _add_odometry(graph, keys, trajectory)
     std = link_factor * math.hypot(_LINK_STD, keys.data.range_std)
     robust = geman_mcclure(_LINK_KERNEL)
     graph.add_robust(point_link(poses, cloud, links_along(cloud), std), robust)
@@ -137,6 +150,12 @@ def _graph(
         graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))
         graph.add(prior("walls", np.zeros((count, 2)), _WALL_PRIOR * np.eye(2)))
     return graph
+
+
+def _add_odometry(graph: Graph, keys: KeyPoses, trajectory: Trajectory) -> None:
+    graph.add(odometry(keys, trajectory))
+    known = np.diag(np.array(keys.config.motion.stds) ** -2.0)
+    graph.add(prior("errors", trajectory.bias[None], known))
 
 
 def _chained(trajectory: Trajectory, graph: Graph) -> Trajectory:

@@ -9,6 +9,8 @@ with the share of driving that is new in it, and the sum is the prior of the nex
 import math
 from bisect import bisect_left
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +36,7 @@ from limslam_agent.slam.map_graph.key_poses import (
 from limslam_agent.slam.map_graph.smoothing import (
     cautious_graph,
     motion_covariances,
+    smooth_further,
     smooth_locally,
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -43,8 +46,6 @@ _ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
 """Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is
 short.
 """
-
-
 _CROWD = 500
 """Number of events near one place that are kept. Each further one takes the place of the last one:
 a robot that stands or creeps sees nothing new.
@@ -131,6 +132,17 @@ class RecentEvents:
         """Distance driven up to an event, m."""
         return self._events[event - self.first].travel
 
+    def motion_during(self, delay: float) -> FloatArray:
+        """Motion (3,) by odometry in the last ``delay`` s before the last event."""
+        motion = np.zeros(3)
+        begin = self._events[-1].time - delay
+        for event, before in pairwise(reversed(self._events)):
+            span = event.time - before.time
+            if event.time <= begin or span <= 0.0 or event.break_stds is not None:
+                break
+            motion = compose(min(1.0, (event.time - begin) / span) * event.move, motion)
+        return motion
+
     def forget_before(self, event: int) -> None:
         """Forget the events before an event."""
         del self._events[: event - self.first]
@@ -208,37 +220,58 @@ class LocalFrame:
     ----------
     keys, trajectory
         The key poses of the window and their trajectory, for the corrected odometry.
+    first
+        Number of the first event of the window.
     poses
         Poses (n, 3) of all events of the window.
-    errors
-        What is known of the errors of odometry after the window.
     """
 
     keys: KeyPoses
     trajectory: Trajectory
+    first: int
     poses: FloatArray
-    errors: OdometryErrors
-    _graph: Graph
+
+    @cached_property
+    def _graph(self) -> Graph:
+        return cautious_graph(self.keys, self.trajectory)
 
     def covariances(self, keys: IntArray) -> FloatArray:
         """Covariances (k - 1, 3, 3) of the motions between successive key poses ``keys`` (k,)."""
         return motion_covariances(self._graph, self.trajectory.poses, keys)
 
+    def learned(self, errors: OdometryErrors, share: float) -> OdometryErrors:
+        """What is known of the errors of odometry after the window, of which a share was in no
+        earlier window.
+        """
+        remaining = self.trajectory.bias
+        known = prior("errors", remaining[None], np.eye(ERRORS))
+        information = np.linalg.inv(self._graph.covariances(known)[0])
+        return errors.after(remaining, information, share)
+
 
 def smooth_window(
-    data: LogData, errors: OdometryErrors, config: GraphConfig, share: float
+    data: LogData,
+    first: int,
+    errors: OdometryErrors,
+    config: GraphConfig,
+    earlier: LocalFrame | None,
 ) -> LocalFrame | None:
-    """Smooth a window of driving; None if it holds no two key poses or no points.
+    """Smooth a window of driving that begins with the event ``first``; None if it holds no two key
+    poses or no points.
 
-    ``share`` is the share of driving in the window that was in no earlier window.
+    An ``earlier`` window has smoothed all but the last metres.
     """
     config = replace(config, motion=errors.prior(config.motion), smoothing=_ITERATIONS)
     keys = choose_keys(corrected(data, errors.mean), config)
     if len(keys) < 2 or not len(keys.point_event):
         return None
-    trajectory = smooth_locally(keys, odometry_trajectory(keys, np.zeros(3)))
-    graph = cautious_graph(keys, trajectory)
-    known = prior("errors", trajectory.bias[None], np.eye(ERRORS))
-    information = np.linalg.inv(graph.covariances(known)[0])
-    after = errors.after(trajectory.bias, information, share)
-    return LocalFrame(keys, trajectory, event_poses(keys, trajectory), after, graph)
+    trajectory = odometry_trajectory(keys, np.zeros(3))
+    if earlier is None:
+        trajectory = smooth_locally(keys, trajectory)
+    else:
+        before = earlier.poses[first - earlier.first :]
+        odometry = keys.data.odometry[len(before) - 1 :]
+        after = compose(before[-1], between(odometry[0], odometry[1:]))
+        poses = between(before[0], np.vstack((before, after)))[keys.first_event]
+        trajectory = smooth_further(keys, replace(trajectory, poses=poses))
+    return LocalFrame(keys, trajectory, first, event_poses(keys, trajectory))

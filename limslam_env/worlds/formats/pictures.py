@@ -5,7 +5,7 @@ free, occupied or unknown.
 import io
 import math
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,9 @@ _FORMATS = {".pgm": "PPM", ".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp
 SUFFIXES = tuple(_FORMATS)
 _MAX_FILE_BYTES = 256_000_000
 _GREY_16_BIT = ("I;16", "I;16B", "I")
+# Levels of the walls, the floor and the block of the start in the maps of exploration papers, whose
+# coloured pixels are the sums of three colours.
+_EXPLORED = ((127, 195, 208), (381, 584, 471))
 _DEEP = 0.1  # m; between this depth and the outline of a thick wall no robot fits
 _BESIDE = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], dtype=np.uint8)  # a cell and its four sides
 
@@ -104,7 +107,9 @@ def read_plan(path: Path, metres_per_pixel: float | None) -> World:
 
     Pixels darker than half are walls, and transparent pixels are white. A picture of exactly three
     levels is read as a map of map_server with the usual thresholds: its middle level is unknown
-    unless it is almost white. A WorldError says what is wrong with the file.
+    unless it is almost white. The maps of exploration papers (ARiADNE, DARE) have three levels of
+    their own, by which they are known: robots start in the middle of their block, heading along x.
+    A WorldError says what is wrong with the file.
     """
     with named(path):
         if metres_per_pixel is None:
@@ -116,7 +121,13 @@ def read_plan(path: Path, metres_per_pixel: float | None) -> World:
             raise WorldError(
                 f"metres per pixel must be {FINEST:g} to {COARSEST:g}, not {metres_per_pixel:g}"
             )
-        shade = shade_of(read_picture(path))
+        picture = read_picture(path)
+        for wall, floor, start in _EXPLORED:
+            if np.unique(picture.levels).tolist() == sorted((wall, floor, start)):
+                return _explored(
+                    path, picture.levels == wall, picture.levels == start, metres_per_pixel
+                )
+        shade = shade_of(picture)
         if len(np.unique(shade)) == 3:
             occupied = shade > OCCUPIED_ABOVE
             unknown = ~occupied & (shade >= FREE_BELOW)
@@ -124,6 +135,15 @@ def read_plan(path: Path, metres_per_pixel: float | None) -> World:
             occupied = shade > 0.5
             unknown = np.zeros(shade.shape, dtype=bool)
         return world_of_cells(path_name(path), occupied, unknown, metres_per_pixel)
+
+
+def _explored(path: Path, solid: BoolArray, block: BoolArray, side: float) -> World:
+    """The world of an exploration paper, from its walls and the block of the start, both (rows,
+    columns) with sides of ``side``, m.
+    """
+    world = world_of_cells(path_name(path), solid, np.zeros_like(solid), side)
+    row, column = np.argwhere(block).mean(axis=0) + 0.5
+    return replace(world, starts=np.array([[column * side, (len(solid) - row) * side, 0.0]]))
 
 
 def shade_of(picture: Picture) -> FloatArray:

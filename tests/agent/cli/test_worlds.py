@@ -5,7 +5,9 @@ line.
 import json
 import sys
 
+import numpy as np
 import pytest
+from PIL import Image
 from support.command_line import limslam, refusal_of, refused
 from support.data import SHIPPED_WORLDS
 
@@ -172,3 +174,22 @@ def test_play_without_pygame_or_a_display_says_so(monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setitem(sys.modules, "pygame", None)
     assert "limslam[play]" in refused("play")
+
+
+def test_a_folder_of_maps_becomes_worlds(tmp_path):
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    for name, left in (("one", 40), ("two", 60)):
+        pixels = np.full((120, 200), 127, dtype=np.uint8)
+        pixels[20:100, 20:180] = 195
+        pixels[30:46, left : left + 16] = 208
+        Image.fromarray(pixels).save(maps / f"{name}.png")
+    out = tmp_path / "worlds"
+    arguments = ("worlds", "import", maps, "--metres-per-pixel", "0.02", "--out", out)
+    code, text, error = limslam(*arguments)
+    assert (code, text, error) == (0, f"worlds      2 worlds in {out}\n", "")
+    world = load_world(out / "two.toml")
+    assert world == load_world(maps / "two.png", metres_per_pixel=0.02)
+    assert world.starts[0].tolist() == pytest.approx([68 * 0.02, 82 * 0.02, 0.0])
+    assert refused(*arguments) == f"{out}/one.toml: already exists; --force replaces it"
+    assert "no pictures there" in refused("worlds", "import", out, "--metres-per-pixel", "1")

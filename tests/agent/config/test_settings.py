@@ -266,9 +266,22 @@ def test_the_file_of_a_replay_of_wheel_travel_repeats_it(tmp_path):
     assert [(beam["y"], beam["max_range"]) for beam in beams] == [(-0.06, 2.0), (0.06, 2.0)]
 
 
+def test_a_file_says_the_beams_of_a_laser_scanner_in_one_line(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text("radius = 0.2\naxle = 0.3\nlidar_beams = 360\nmax_range = 4.0\n")
+    assert robot_named(str(path)) == RobotSpec.lidar(360, 4.0, radius=0.2, axle=0.3)
+    assert robot_named("lidar") == RobotSpec.lidar()
+
+
 @pytest.mark.parametrize(
     ("robot", "words"),
     [
+        ("beams_deg = [0]\nlidar_beams = 9", "beams_deg and lidar_beams both describe the beams"),
+        ("max_range = 2.0", "max_range goes with beams_deg or lidar_beams"),
+        (
+            "radius = 0.1\naxle = 0.1\nlidar_beams = 0",
+            "the number of beams all around a robot must be a whole number from 1 to 4096, not 0",
+        ),
         (
             "axle = -1.0",
             "--robot: robot.toml: a robot's axle must be a number from 0.001",

@@ -149,10 +149,13 @@ def test_a_picture_is_scaled_by_two_points(opened, tmp_path):
     told("worlds", "draw", "--over", tmp_path / "plan.png", "--out", tmp_path / "over.html")
     opened.open(tmp_path / "over.html")
     opened.wait_for("document.body.dataset.picture === 'ready'")
-    click(opened, (0, 0), (5, 0))  # half of the picture, which is ten metres wide at first
+    click(opened, (1.08, 0.97), (6.08, 0.97))  # the picture is ten metres wide at first
     opened.page.fill("#metres", "4")
     opened.page.click("#scale-dialog [value=scale]")
     assert opened.run("picture.place.scale * 200") == pytest.approx(8.0, rel=0.01)
+    # The first point stands 1.08 and 0.97 of ten metres from the corner, and moves onto the grid.
+    place = opened.run("[picture.place.x, picture.place.y]")
+    assert place == pytest.approx([1.1 - 0.864, 1.0 - 0.776], abs=0.02)
     for wrong in ("plan.txt", "missing.png"):
         assert wrong in refused(
             "worlds", "draw", "--over", tmp_path / wrong, "--out", tmp_path / "x.html"

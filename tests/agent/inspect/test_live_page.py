@@ -3,6 +3,7 @@ moment.
 """
 
 import http.client
+import json
 import socket
 import struct
 import threading
@@ -17,7 +18,8 @@ from support.inspection import SHORT, short_run, unpacked
 
 from limslam_agent import Mapper, preset
 from limslam_agent.inspect import live_page as module
-from limslam_agent.inspect.live_page import Follower, live_page
+from limslam_agent.inspect.live_page import Controls, Follower, live_page
+from limslam_agent.live.orders import Goal, Orders
 from limslam_env import NominalNoise
 
 
@@ -47,7 +49,7 @@ class Drive:
 
 
 def asked(page, path, host=None):
-    place = page.address.removeprefix("http://").rstrip("/")
+    place = page.address.removeprefix("http://").partition("/")[0]
     connection = http.client.HTTPConnection(place, timeout=30)
     connection.request("GET", path, headers={"Host": place if host is None else host})
     answer = connection.getresponse()
@@ -60,6 +62,48 @@ def asked(page, path, host=None):
         if path.startswith("/recording")
         else (status, content.decode())
     )
+
+
+def posted(page, content, *, token=None, path="/order", host="localhost"):
+    """The status of the answer to an order."""
+    place = page.address.removeprefix("http://").partition("/")[0]
+    connection = http.client.HTTPConnection(place, timeout=30)
+    headers = {"Host": host, "X-Token": page.token if token is None else token}
+    connection.request("POST", path, content, headers)
+    status = connection.getresponse().status
+    connection.close()
+    return status
+
+
+def controlled(orders):
+    state = {"paused": False, "answer": "driving to Gorm \u00e9\n"}
+    return live_page("run", controls=Controls(orders.obey, lambda: state))
+
+
+def test_an_order_is_taken_from_a_page_that_knows_the_token_alone():
+    orders = Orders()
+    order = json.dumps({"order": "pause"})
+    with live_page("run") as page:
+        assert "token" not in page.address
+        assert posted(page, order) == 404
+    with controlled(orders) as page:
+        assert page.address.endswith(f"/?token={page.token}")
+        for told in ({"token": ""}, {"token": "x" * 22}, {"host": "evil.example"}):
+            assert posted(page, order, **told) == 403
+        assert posted(page, order, path="/") == 404
+        assert not orders.is_paused
+        assert posted(page, order) == 200
+        assert orders.is_paused
+        assert asked(page, "/")[0] == 200
+
+
+@pytest.mark.parametrize(
+    "content", ["", "no JSON", "[" * 900, "[1]", '{"order": "dance"}', f'"{"x" * 2000}"']
+)
+def test_what_is_no_order_is_refused(content, capfd):
+    with controlled(Orders()) as page:
+        assert posted(page, content) == 400
+    assert capfd.readouterr().err == ""
 
 
 def test_the_server_answers_its_own_page_alone():
@@ -180,4 +224,55 @@ def test_the_page_follows_the_newest_moment():
         chromium.wait_for("document.body.dataset.state === 'over'")
         assert chromium.run("[player.recording.frames, player.frame]") == [200, 199]
         assert "over" in chromium.run("document.getElementById('check').textContent")
+        assert chromium.errors == []
+
+
+@needs_chromium
+def test_a_page_gives_orders_and_shows_the_answers():
+    orders = Orders()
+
+    def state():
+        return {"paused": orders.is_paused, "answer": (orders.answers or [""])[-1]}
+
+    with (
+        live_page("run", controls=Controls(orders.obey, state)) as page,
+        browser() as chromium,
+    ):
+        drive = Drive(page)
+        drive.on(60)
+        chromium.open(page.address.partition("?")[0])
+        assert chromium.run("byId('orders').hidden"), "a page without the token gives no orders"
+        chromium.open(page.address)
+        chromium.wait_for("!byId('orders').hidden")
+        chromium.page.click("#order-pause")
+        chromium.wait_for("byId('order-pause').textContent === 'Go on'")
+        assert "paused" in chromium.page.inner_text("#order-answer")
+        chromium.page.click("#order-pause")
+        chromium.wait_for("byId('order-pause').textContent === 'Pause'")
+        place = drive.mapper.poses[0, :2].tolist()
+        chromium.page.keyboard.press("Home")
+        chromium.page.click("#order-goal")
+        assert chromium.run("player.frame") == 59, "a goal belongs to the newest map"
+        low, scale, box = chromium.run(
+            "[player.scene.toWorld(byId('belief'), 0, 0), player.scene.scaleOf(byId('belief')), "
+            "byId('belief').getBoundingClientRect()]"
+        )
+        x, y = (box[name] + 1 for name in ("x", "y"))  # inside of the border
+        x += scale * (place[0] - low[0])
+        y += scale * (low[1] - place[1])
+        chromium.page.mouse.click(x, y)
+        for _ in range(500):
+            chromium.page.wait_for_timeout(20)
+            if orders.destination is not None:
+                break
+        goal = orders.destination
+        assert isinstance(goal, Goal)
+        assert np.hypot(goal.x - place[0], goal.y - place[1]) < 0.03
+        assert goal.map_number == drive.mapper.map_number
+        orders.drop_destination("the goal: there is a wall or an obstacle")
+        chromium.wait_for("byId('order-answer').textContent.includes('there is a wall')")
+        chromium.page.click("#order-home")
+        chromium.wait_for("byId('order-answer').textContent === 'driving home'")
+        drive.follower.end()
+        chromium.wait_for("byId('order-pause').disabled")
         assert chromium.errors == []

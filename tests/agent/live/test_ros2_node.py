@@ -102,10 +102,10 @@ def test_a_robot_in_another_process_explores_pauses_and_drives_home(processes, l
     resume.publish(Bool(data=True))
     wait_for(lambda: state_of(listener) == "exploring" and is_driving(listener), live)
     home.publish(Bool(data=True))
-    assert "back at its start" in finished(live)
+    assert "is at its start" in finished(live)
 
     result = json.loads((folder / "result.json").read_text())["metrics"]
-    assert result["stop_reason"] == "asked to drive home; the robot is back at its start"
+    assert result["stop_reason"] == "asked to drive home; the robot is at its start"
     assert (result["packets_implausible"], result["lines_bad"]) == (0, 0)
     run = read_run(folder)
     assert len(run.segments) >= 2

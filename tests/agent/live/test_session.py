@@ -1,6 +1,7 @@
 """Sessions with a live robot: in this process, and as the command with a robot in another one."""
 
 import json
+import math
 import os
 import select
 import socket
@@ -17,6 +18,7 @@ from support.live import Faults, Wire, emulated, session_with, start_emulator
 
 from limslam_agent import read_log, replay_log
 from limslam_agent.live.link import NoRobotError
+from limslam_agent.live.orders import HOME, Goal, Orders
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, checksum, decode
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
 from limslam_agent.output.finished_run import read_run
@@ -202,10 +204,15 @@ def test_a_paused_session_maps_and_leaves_the_wheels_to_others():
     wire = Wire(emulated())
 
     def watch(session):
-        session.is_paused = 3.0 < session.recording.newest.time < 6.0
+        is_wanted = 3.0 < session.recording.newest.time < 6.0
+        (session.orders.pause if is_wanted else session.orders.go_on)()
 
     session = session_with(wire, policy=Drive(0.3, 0.3), watch=watch)
     assert session.drive(8.0, 5.0) == OUT_OF_TIME
+    assert session.orders.answers == [
+        "paused: the robot maps, and its wheels stand still",
+        "going on",
+    ]
     assert len(session.recording) >= 80
     driven = session.recording.log().wheels[:, 0] > 0.005
     times = session.recording.log().time
@@ -224,22 +231,148 @@ def silent_from(seconds, order):
     the wire.
     """
     wire = Wire(emulated())
+    orders = Orders()
 
-    def obey(session):
+    def listen():
         wire.is_cut = wire.clock() > seconds
         if wire.clock() > seconds + 0.2:
-            order(session)
+            order(orders)
 
-    return session_with(wire, policy=Drive(0.3, 0.3), obey=obey), wire
+    return session_with(wire, policy=Drive(0.3, 0.3), orders=orders, listen=listen), wire
 
 
 def test_a_session_ends_when_it_is_asked_to_while_the_robot_is_silent():
-    session, wire = silent_from(
-        3.0, lambda session: setattr(session, "asked_to_end", "somebody said so")
-    )
+    session, wire = silent_from(3.0, lambda orders: setattr(orders, "end", "somebody said so"))
     assert session.drive(60.0, 30.0) == "somebody said so"
     assert wire.clock() < 6.0
     assert isinstance(decode(wire.sent[-1]), Stop)
+
+
+class Stops(Drive):
+    """A policy that drives a bend, and stops after some steps."""
+
+    def __init__(self, steps):
+        super().__init__(0.5, 0.4)
+        self._left = steps
+
+    def act(self, belief):
+        self._left -= 1
+        self.stop_reason = "everything seen" if self._left <= 0 else None
+        return super().act(belief) if self._left > 0 else np.zeros(2)
+
+
+def given(at):
+    """A session with a robot in env1 that gets orders at times, s: functions of the orders."""
+    wire = Wire(emulated())
+    waiting = sorted(at.items())
+
+    def watch(session):
+        while waiting and session.recording.newest.time >= waiting[0][0]:
+            waiting.pop(0)[1](session.orders)
+        session.states = [*getattr(session, "states", []), session.state]
+
+    return session_with(wire, policy=Drive(0.5, 0.4), watch=watch), wire
+
+
+def away_from(session, place):
+    return math.dist(session.agent.mapper.poses[0, :2], place)
+
+
+def test_a_robot_that_is_sent_home_drives_back_to_its_start_and_ends_there():
+    session, wire = given({6.0: Orders.go_home})
+    assert session.drive(60.0, 5.0) == "asked to drive home; the robot is at its start"
+    assert set(session.states) == {"exploring", "driving home", "done"}
+    true = np.array(wire.true)[:, 1:3]
+    assert np.hypot(*(true - true[0]).T).max() > 0.4
+    assert math.dist(true[-1], true[0]) < 0.2
+
+
+def test_a_robot_drives_to_a_goal_waits_there_and_goes_on():
+    def send(orders):
+        orders.obey({"order": "goal", "x": 0.0, "y": 0.1, "map": 0})
+
+    def arrived(orders):
+        places.append((orders.is_paused, away_from(session, (0.0, 0.1))))
+        orders.press("p")
+
+    session, _ = given({6.0: Orders.pause, 7.0: send, 20.0: arrived})
+    places = []
+    assert session.drive(25.0, 5.0) == OUT_OF_TIME
+    ((is_paused, distance),) = places
+    assert is_paused
+    assert distance < 0.15
+    assert session.orders.answers == [
+        "paused: the robot maps, and its wheels stand still",
+        "driving to the goal (0.0, 0.1)",
+        "the robot is at the goal (0.0, 0.1), and waits",
+        "going on",
+    ]
+    assert away_from(session, (0.0, 0.1)) > 0.3
+    assert session.states[-1] == "exploring"
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        (Goal(-8.0, 3.0, 0), "the goal (-8.0, 3.0): that ground is not mapped yet"),
+        (
+            Goal(0.0, 0.1, 7),
+            "the goal (0.0, 0.1): the robot has begun to use another map since",
+        ),
+    ],
+)
+def test_a_goal_that_cannot_be_is_refused_in_a_line_and_changes_nothing(goal, words):
+    session, _ = given(
+        {3.0: Orders.pause, 4.0: lambda orders: setattr(orders, "destination", goal)}
+    )
+    assert session.drive(6.0, 5.0) == OUT_OF_TIME
+    assert session.orders.answers[1:] == [words]
+    assert session.orders.is_paused
+    assert session.orders.destination is None
+
+
+@pytest.mark.parametrize(
+    ("when", "reason"),
+    [
+        ("end", "everything seen"),
+        ("home", "everything seen; the robot is at its start"),
+        ("pause", OUT_OF_TIME),
+    ],
+)
+def test_what_follows_an_exploration_is_chosen(when, reason):
+    orders = Orders(when_explored=when)
+    session = session_with(Wire(emulated()), policy=Stops(40), orders=orders)
+    assert session.drive(20.0, 5.0) == reason
+    assert (orders.is_paused, orders.destination == HOME) == (when == "pause", when == "home")
+    if when == "pause":
+        assert orders.answers == ["everything seen; the robot waits"]
+
+
+def test_keys_pause_and_send_home_and_others_mean_nothing():
+    orders = Orders()
+    orders.press("x7P\x1b")
+    assert orders.is_paused
+    orders.press("ph")
+    assert (orders.is_paused, orders.destination) == (False, HOME)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        {},
+        {"order": "dance"},
+        {"order": ["pause"]},
+        {"order": "goal", "x": 1.0, "y": 2.0},
+        {"order": "goal", "x": float("nan"), "y": 2.0, "map": 0},
+        {"order": "goal", "x": "1", "y": 2.0, "map": 0},
+        {"order": "goal", "x": 1e300, "y": 2.0, "map": 0},
+    ],
+)
+def test_what_is_no_order_of_a_page_is_refused(message):
+    orders = Orders()
+    with pytest.raises(ValueError, match=r"there is no such order|of a goal must be a number"):
+        orders.obey(message)
+    assert (orders.is_paused, orders.destination, orders.answers) == (False, None, [])
 
 
 FILES = {
@@ -350,6 +483,66 @@ def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tm
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pty")
+def test_a_robot_begins_in_the_map_of_an_earlier_session(emulator, tmp_path):
+    folders = [tmp_path / name for name in ("first", "second")]
+    for seed, folder, told in ((1, folders[0], ()), (2, folders[1], ("--map", folders[0]))):
+        port = free_port()
+        emulator("--udp", port, "--world", "env3", "--seed", seed)
+        done = limslam(
+            *("live", "--udp", port, "--preset", "consistent", "--max-time", 70),
+            *("--out", folder, *told),
+        )
+        assert done.returncode == 0, done.stderr
+    assert "\nplace       found in the saved map after" in done.stderr
+    result = json.loads((folders[1] / "result.json").read_text())
+    assert result["record"]["places"][0]["event"] == "found in the saved map"
+    again = limslam("replay", "--config", folders[1] / "run.toml", "--out", tmp_path / "again")
+    assert again.returncode == 0, again.stderr
+    name = "trajectory_est.tum"
+    assert (tmp_path / "again" / name).read_text() == (folders[1] / name).read_text()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_keys_of_the_terminal_pause_a_session_and_send_the_robot_home(emulator, tmp_path):
+    import fcntl
+    import pty
+    import termios
+
+    port = free_port()
+    emulator("--udp", port, "--speed", "4")
+    ours, theirs = pty.openpty()
+    before = termios.tcgetattr(theirs)
+    said = []
+    with subprocess.Popen(
+        [
+            *(sys.executable, "-m", "limslam_agent", "live", "--udp", str(port)),
+            *("--preset", "consistent", "--out", str(tmp_path / "room")),
+        ],
+        stdin=theirs,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),  # noqa: PLW1509 (it is one call)
+    ) as live:
+
+        def answer(key, words):
+            os.write(ours, key)
+            while words not in (line := live.stderr.readline()):
+                said.append(line)
+                assert line, "".join(said)
+
+        answer(b"", "keys  ")
+        for key, words in ((b"p", "paused"), (b"p", "going on"), (b"h", "driving home")):
+            answer(key, f"order       {words}")
+        out, _ = live.communicate(timeout=120)
+    assert live.returncode == 0
+    assert "asked to drive home; the robot is at its start" in out
+    assert termios.tcgetattr(theirs) == before
+    os.close(ours)
+    os.close(theirs)
+
+
 def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     pytest.importorskip("serial", reason="needs the extra live (pyserial)")
     robot = tmp_path / "small.toml"

@@ -17,6 +17,7 @@ from support.beliefs import (
     CONFIG,
     CORRIDOR,
     CUT_OFF,
+    HALL,
     ROBOT,
     actions_until_stopped,
     belief_of,
@@ -107,6 +108,33 @@ def test_a_frontier_in_whose_way_something_stands_is_left() -> None:
         policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
     )
     assert 3 * PATIENCE < len(actions) < 4 * PATIENCE
+
+
+def test_frontiers_that_come_and_go_do_not_keep_it_for_ever() -> None:
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    pose = place(4, 20)
+    for _ in range(600):
+        # Each open end of a hall looks like a wall as soon as the robot comes near.
+        values = HALL.values.copy()
+        values[1:8, 0] = -4 if pose[0] < 1.2 else 2
+        values[1:8, 40] = -4 if pose[0] > 2.9 else 2
+        pose = drive(pose, policy.act(belief_of(pose, replace(HALL, values=values))))
+    assert policy.stop_reason == "explored: no frontier is left"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_goals_that_change_at_random_do_not_keep_it_for_ever(seed: int) -> None:
+    generator = np.random.default_rng(seed)
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    pose = place(4, 20)
+    steps = 0
+    while policy.stop_reason is None and steps < 6000:
+        steps += 1
+        if steps % 40 == 1:
+            values = HALL.values.copy()
+            values[1:8, generator.choice([0, 40])] = -4
+        pose = drive(pose, policy.act(belief_of(pose, replace(HALL, values=values))))
+    assert policy.stop_reason is not None
 
 
 @pytest.mark.parametrize("width", [0.40, 0.60])

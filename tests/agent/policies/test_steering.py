@@ -1,4 +1,6 @@
-"""How policies steer: speeds, the collision guard, the way home, and the search of a lost robot."""
+"""How policies steer: speeds, the collision guard, the way to a place, and the search of a lost
+robot.
+"""
 
 import math
 from dataclasses import replace
@@ -9,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.beliefs import CLEAR, CONFIG, HALL, ROBOT, belief_of, drive, grid_of, place
 
-from limslam_agent import Belief, LimSlamAgent, WallFollower, preset
+from limslam_agent import Belief
 from limslam_agent.belief import Guess
-from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.controller import (
@@ -19,11 +20,9 @@ from limslam_agent.policies.controller import (
     steer,
 )
 from limslam_agent.policies.targets import next_target, search_cost
-from limslam_agent.policies.way_home import WayHome
+from limslam_agent.policies.way_to import WayTo, objection
 from limslam_agent.status.status import Status
-from limslam_env import NoiseConfig, NominalNoise, load_world
 from limslam_env.geometry import FloatArray, no_rows, se2
-from limslam_env.simulation.simulation import Simulation
 
 angles = st.floats(-math.pi, math.pi)
 
@@ -150,81 +149,31 @@ def test_a_post_that_was_seen_is_not_run_into(bearing: float, distance: float, t
         assert np.hypot(*(pose[:2] - post)) > ROBOT.radius
 
 
-class Stands:
-    """A policy that stands still, and stops after some steps."""
-
-    plan = np.zeros((0, 2))
-
-    def __init__(self, steps):
-        self._left = steps
-        self.stop_reason = None
-
-    def act(self, belief):
-        del belief
-        self._left -= 1
-        self.stop_reason = "everything seen" if self._left <= 0 else None
-        return np.zeros(2)
-
-
-class Turns:
-    """A policy that turns for ever."""
-
-    plan = np.array([[9.0, 9.0]])
-    wheels = np.array([-0.1, 0.1])
-    stop_reason = None
-
-    def act(self, belief):
-        del belief
-        return self.wheels
-
-
 def belief_at(x, y, values=None):
     values = np.full((40, 40), 5, dtype=np.int16) if values is None else values
     grid = GridView(np.array([-2.0, -2.0]), 0.1, values)
     return Belief(np.array([x, y, 0.0]), 1e-6 * np.eye(3), np.full(6, 1.5), no_rows(4), grid)
 
 
-@pytest.mark.parametrize("always", [True, False])
-def test_the_robot_drives_home_when_everything_was_seen_if_it_is_to(always):
-    policy = WayHome(Stands(3), ROBOT, PolicyConfig(), always=always)
-    for _ in range(3):
-        policy.act(belief_at(1.0, 0.5))
-    assert (policy.stop_reason, policy.is_going_home) == (
-        None if always else "everything seen",
-        always,
-    )
-    if always:
-        assert np.abs(policy.act(belief_at(1.0, 0.5))).max() > 0.1
-        np.testing.assert_array_equal(policy.plan[-1], 0.0)
-        policy.act(belief_at(0.02, 0.03))
-        assert policy.stop_reason == "everything seen; the robot is back at its start"
-    np.testing.assert_array_equal(policy.act(belief_at(1.0, 0.5)), 0.0)
+def way_to(goal, words="its start"):
+    return WayTo(np.array(goal), words, ROBOT, CONFIG)
 
 
 def test_a_robot_that_is_walled_off_says_that_there_is_no_way():
     values = np.full((40, 40), 5, dtype=np.int16)
     values[:, 25] = -5
-    policy = WayHome(Stands(100), ROBOT, PolicyConfig())
-    policy.go_home()
-    policy.act(belief_at(1.5, 0.0, values))
-    assert policy.stop_reason == "asked to drive home; the map shows no way back to the start"
+    policy = way_to([0.0, 0.0])
+    np.testing.assert_array_equal(policy.act(belief_at(1.5, 0.0, values)), 0.0)
+    assert policy.stop_reason == "the map shows no way to its start"
 
 
-def test_while_the_robot_is_lost_its_policy_drives_and_the_way_is_planned_anew_after_that():
-    inner = Turns()
-    policy = WayHome(inner, ROBOT, PolicyConfig(), home=np.array([1.5, 0.0]))
-    policy.go_home()
-    for _ in range(50):
-        policy.act(belief_at(-1.0, 0.0))
-    lost = replace(belief_at(1.5, 0.0), frame=1, status=Status("lost", "carried away"))
-    for _ in range(3):
-        np.testing.assert_array_equal(policy.act(lost), inner.wheels)
-    assert policy.stop_reason is None  # the start of another frame is nothing to arrive at
-    np.testing.assert_array_equal(policy.plan, inner.plan)
+def test_a_way_is_planned_anew_in_another_frame():
+    policy = way_to([1.5, 0.0])
+    policy.act(belief_at(-1.0, 0.0))
     policy.act(replace(belief_at(0.0, 1.0), frame=2))
     np.testing.assert_allclose(policy.plan[[0, -1]], [[0.0, 1.0], [1.5, 0.0]], atol=0.1)
     policy.act(replace(belief_at(1.5, 0.0), frame=2))
-    assert policy.stop_reason == "asked to drive home; the robot is back at its start"
+    assert policy.stop_reason == "the robot is at its start"
 
 
 def test_the_robot_comes_home_although_the_short_way_is_closed_before_it():
@@ -232,36 +181,37 @@ def test_the_robot_comes_home_although_the_short_way_is_closed_before_it():
     narrow = "#" + "." * 7 + "#" * 24 + "." * 7 + "#"
     rows = ["#" * 40, *[wide] * 7, *[narrow] * 14, *[wide] * 7, "#" * 40]
     closed = grid_of(*(f"{row[:9]}#{row[10:]}" for row in rows[:8]), *rows[8:])
-    policy = WayHome(Stands(9999), ROBOT, CONFIG, home=place(4, 4)[:2])
+    policy = way_to(place(4, 4)[:2])
     pose = place(4, 35)
     grid = grid_of(*rows)
-    policy.go_home()
     for _ in range(1500):
         pose = drive(pose, policy.act(belief_of(pose, grid)))
         grid = closed if pose[0] < 1.4 else grid
-    assert policy.stop_reason == "asked to drive home; the robot is back at its start"
+    assert policy.stop_reason == "the robot is at its start"
 
 
-def test_a_robot_in_a_world_comes_back_to_its_start():
-    simulation = Simulation(load_world("env1"), ROBOT)
-    readings, truth = simulation.reset(np.random.SeedSequence(3), NoiseConfig(sensor_noise=0.02))
-    config = preset("consistent", NominalNoise(0.02))
-    policy = WayHome(WallFollower(ROBOT, config.policy), ROBOT, config.policy)
-    agent = LimSlamAgent(ROBOT, config, policy)
-    start = truth.poses[0].copy()
-    farthest = 0.0
-    for step in range(900):
-        left, right = agent.act({"ranges": readings.ranges[0], "wheels": readings.wheels[0]})
-        readings, truth = simulation.step([(left, right)])
-        away = float(np.hypot(*(truth.poses[0] - start)[:2]))
-        farthest = max(farthest, away)
-        if step == 300:
-            policy.go_home()
-        if agent.done:
-            break
-    assert agent.stop_reason == "asked to drive home; the robot is back at its start"
-    assert farthest > 1.0
-    assert away < 0.2
+def test_a_robot_that_comes_no_nearer_gives_up():
+    policy = way_to([1.5, 0.0], "the goal (1.5, 0.0)")
+    for _ in range(200):
+        policy.act(belief_at(-1.0, 0.0))
+    assert policy.stop_reason == "something is in the way to the goal (1.5, 0.0)"
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        ((-1.5, 0.5), ""),
+        ((0.55, 0.0), "there is a wall or an obstacle"),
+        ((1.5, 0.0), "the map shows no way to it"),
+        ((1.5, 1.95), "that ground is not mapped yet"),
+        ((70.0, 0.0), "that ground is not mapped yet"),
+    ],
+)
+def test_a_goal_that_cannot_be_reached_is_refused_with_the_reason(goal, words):
+    values = np.full((40, 40), 5, dtype=np.int16)
+    values[:, 25] = -5
+    values[-1] = 0
+    assert objection(np.array(goal), belief_at(-1.0, 0.0, values), ROBOT) == words
 
 
 LOST = Status("lost", "for a test")

@@ -20,6 +20,7 @@ from limslam_agent import (
     preset,
 )
 from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, RobotSpec, World
+from limslam_env.envs.wrappers import FlattenObservation, NormalizedObservation
 
 ROBOT = RobotSpec()
 TOLD = preset("paper", NominalNoise(0.02))
@@ -177,6 +178,62 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
     assert result["path_m"] == pytest.approx(0.06)
 
 
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        SlamObservation,
+        lambda env: FlattenObservation(NormalizedObservation(SlamObservation(env))),
+        lambda env: SlamObservation(env, preset("consistent", NominalNoise(0.03))),
+    ],
+)
+def test_who_sees_beliefs_is_scored_by_their_estimate(wrap):
+    class Blind(TurnFromWalls):
+        def act(self, belief):
+            return (0.4, 0.5) if len(belief.ranges) else None
+
+    noise = NoiseConfig(sensor_noise=(0.0, np.float32(0.03)), wheel_variance=(2e-5, 2e-4))
+    where = {"env_id": "LimSlam-Env2-v0", "seeds": [3], "max_time": 20.0, "noise": noise}
+    (expected,) = evaluate(Blind(), **where)
+    (result,) = evaluate(lambda _: (0.4, 0.5), wrap=wrap, **where)
+    assert {"ate_m", "anees", "wall_f1", "coverage_correct"} <= set(result)
+    assert set(result) == set(expected) == set(evaluate("frontier", **where)[0])
+    if wrap is SlamObservation:
+        assert result == expected
+
+
+def test_what_is_said_to_be_an_actor_or_a_policy_is_not_guessed():
+    class Renamed(TurnFromWalls):
+        def act(self, observation):
+            return np.zeros(2) if len(observation.segments) else np.full(2, 0.5)
+
+    class Mislabelled:
+        def act(self, belief):
+            return 0.2, 0.2 if set(belief) == {"ranges", "wheels"} else None
+
+    where = {"env_id": "LimSlam-World-v0", "seeds": [0], "max_time": 1.0, "world": ROOM}
+    assert "ate_m" in evaluate(policy=Renamed(), **where)[0]
+    assert "ate_m" not in evaluate(actor=Mislabelled(), **where)[0]
+    assert "ate_m" in evaluate(policy=Ambiguous(), preset="paper", **where)[0]
+    assert "ate_m" not in evaluate(actor=lambda belief: spin(belief["wheels"]), **where)[0]
+    assert evaluate(policy="frontier", **where) == evaluate("frontier", **where)
+
+
+@pytest.mark.parametrize(
+    ("scored", "words"),
+    [
+        ({}, "evaluate scores one thing"),
+        ({"policy": "frontier", "actor": spin}, "evaluate scores one thing"),
+        ({"actor": "frontier"}, r"evaluate\(policy=...\), also by its name"),
+        ({"policy": spin}, "is a policy, because policy= says so, but it has no act and no stop"),
+        ({"policy": LimSlamAgent}, "LimSlamAgent is a class"),
+        ({"actor": spin, "preset": "paper"}, "preset='paper' is for a policy"),
+    ],
+)
+def test_what_is_neither_is_refused_in_one_line(scored, words):
+    with pytest.raises(ValueError, match=words):
+        evaluate(**scored, max_time=1.0)
+
+
 class TurnFromWalls:
     """The policy of the README."""
 
@@ -197,7 +254,7 @@ class WithoutAttributes:
 
 class Ambiguous(TurnFromWalls):
     def act(self, anything):
-        return anything
+        return anything.pose[:2]
 
     def reset(self, start_pose, seed):
         pass

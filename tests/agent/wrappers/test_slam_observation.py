@@ -169,3 +169,38 @@ def test_the_filter_is_told_the_nominal_noise_of_the_environment() -> None:
     default = poses(None)
     np.testing.assert_array_equal(default, poses(preset("graph", NominalNoise(0.02))))
     assert not np.array_equal(default, poses(preset("graph")))
+
+
+def test_pictures_show_the_belief_over_the_truth() -> None:
+    def picture(wrap: Any) -> Any:
+        env = wrap(gym.make("LimSlam-Env1-v0", render_mode="rgb_array"))
+        driven(env)
+        return env, env.render()
+
+    _, plain = picture(lambda env: env)
+    env, shown = picture(SlamObservation)
+    assert not np.array_equal(plain, shown)
+    (overlay,) = env.unwrapped.overlay
+    np.testing.assert_array_equal(overlay.pose, env.belief.pose)
+    np.testing.assert_array_equal(overlay.segments, env.belief.segments)
+    assert len(overlay.segments)
+
+
+def test_a_normalized_belief_by_hand() -> None:
+    def make() -> gym.Env[Any, Any]:
+        return SlamObservation(gym.make("LimSlam-Env1-v0", sensor_noise=0.02))
+
+    plain = driven(make())[0]
+    env = NormalizedObservation(make(), reach=0.25)
+    scaled = driven(env)[0]
+    for believed, seen in zip(plain, scaled, strict=True):
+        assert env.observation_space.contains(seen)
+        x, y, theta = believed["pose"]
+        place = np.clip([4.0 * x, 4.0 * y], -1.0, 1.0)
+        expected = [*place, math.cos(theta), math.sin(theta)]
+        np.testing.assert_allclose(seen["pose"], expected, atol=1e-6)
+        variances = believed["covariance"][[0, 3, 5]]
+        np.testing.assert_allclose(seen["std"] ** 2, variances, rtol=1e-5, atol=1e-12)
+        np.testing.assert_allclose(seen["ranges"], (believed["ranges"] - 0.05) / 1.45, atol=1e-6)
+        np.testing.assert_array_equal(seen["grid"], believed["grid"])
+    assert scaled[-1]["pose"][0] == 1.0, "it has driven beyond the reach"

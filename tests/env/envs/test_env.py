@@ -452,7 +452,7 @@ def test_gymnasium_records_a_video(tmp_path):
     env.close()
     (path,) = (tmp_path / "video").glob("*.mp4")
     video = cv2.VideoCapture(str(path))
-    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(LimSlamEnv.metadata["render_fps"])
+    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(env.metadata["render_fps"])
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 13
     is_read, frame = video.read()
     video.release()

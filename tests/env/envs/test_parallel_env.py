@@ -24,6 +24,7 @@ with warnings.catch_warnings():
     # The import brings PettingZoo's own example environments, which use what pygame calls outdated.
     warnings.simplefilter("ignore", DeprecationWarning)
     from pettingzoo.test import api_test, parallel_api_test
+    from pettingzoo.test.state_test import state_test
 
 IDS = {
     "limslam/Env1-v0": {},
@@ -80,7 +81,14 @@ def test_pettingzoo_finds_nothing_to_warn_of(robots, max_cycles):
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"noise": EVERYTHING}, {"shared_reward": True}, {"coverage_goal": 0.3}]
+    "arguments",
+    [
+        {"noise": EVERYTHING},
+        {"shared_reward": True},
+        {"coverage_goal": 0.3},
+        {"flat": True},
+        {"flat": True, "imu": True},
+    ],
 )
 def test_pettingzoo_finds_nothing_to_warn_of_whatever_the_arguments(arguments):
     parallel_api_test(LimSlamParallelEnv("random", num_robots=3, **arguments), num_cycles=200)
@@ -89,6 +97,50 @@ def test_pettingzoo_finds_nothing_to_warn_of_whatever_the_arguments(arguments):
 @pytest.mark.filterwarnings(*DICT_WARNINGS)
 def test_the_same_holds_when_robots_act_one_after_the_other():
     api_test(limslam_env.aec_env("env1", num_robots=3, max_cycles=20), num_cycles=100)
+
+
+@pytest.mark.parametrize("arguments", [{}, {"imu": True}, {"world": "random"}])
+def test_pettingzoo_finds_nothing_to_warn_of_in_flat_observations_and_states(arguments):
+    def make(kind):
+        return kind(
+            **{"world": "env1", "num_robots": 3, "flat": True, "max_cycles": 20, **arguments}
+        )
+
+    api_test(make(limslam_env.aec_env), num_cycles=100)
+    state_test(make(limslam_env.aec_env), make(limslam_env.parallel_env))
+
+
+def test_a_flat_observation_holds_all_parts_in_order():
+    plain, flat = (LimSlamParallelEnv("env1", imu=True, flat=each) for each in (False, True))
+    expected, told = plain.reset(seed=0)[0], flat.reset(seed=0)[0]
+    for _ in range(5):
+        for name, parts in expected.items():
+            np.testing.assert_array_equal(told[name], np.concatenate(list(parts.values())))
+            assert flat.observation_space(name).contains(told[name])
+        expected, told = plain.step(all_alike(plain))[0], flat.step(all_alike(flat))[0]
+
+
+@pytest.mark.parametrize("is_flat", [False, True])
+def test_the_state_is_what_is_true_of_all_robots(is_flat):
+    corners = [[-1, 2, 3, 2], [3, 2, 3, 4], [3, 4, -1, 4], [-1, 4, -1, 2]]
+    room = World("room", (4.0, 2.0), corners, starts=[[0.0, 3.0, 0.0], [2.0, 3.5, math.pi / 2]])
+    env = LimSlamParallelEnv(room, sensor_noise=0.02, flat=is_flat)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.state()
+    env.reset(seed=0)
+    observations, *_, infos = env.step(all_alike(env))
+    state = env.state()
+    assert env.state_space.contains(state)
+    for row, name in zip(state[:-1].reshape(2, -1), env.possible_agents, strict=True):
+        x, y, theta = infos[name]["pose"]
+        np.testing.assert_allclose(row[:2], [(x + 1.0) / 4.0, (y - 2.0) / 2.0], atol=1e-6)
+        np.testing.assert_allclose(row[2:4], [math.cos(theta), math.sin(theta)], atol=1e-6)
+        seen = observations[name]
+        seen = seen if is_flat else np.concatenate(list(seen.values()))
+        np.testing.assert_array_equal(row[4:], seen)
+        seen[:] = 0.0  # it is the caller's, and the state is not
+    assert state[-1] == pytest.approx(infos["robot_0"]["coverage"], abs=1e-6)
+    np.testing.assert_array_equal(env.state(), state)
 
 
 @pytest.mark.parametrize("name", IDS)

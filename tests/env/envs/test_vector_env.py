@@ -20,6 +20,7 @@ from limslam_env import (
     LimSlamEnv,
     LimSlamVectorEnv,
     NoiseConfig,
+    Overlay,
     RewardConfig,
     RobotSpec,
     SensorSpec,
@@ -470,3 +471,58 @@ def test_the_documentation_names_every_argument():
     documentation = inspect.getdoc(LimSlamVectorEnv)
     for name in list(inspect.signature(LimSlamVectorEnv).parameters)[:-1]:
         assert f"| {name} " in documentation
+
+
+def test_a_seed_of_its_own_decides_all_of_an_environment():
+    def drive(count, seeds):
+        envs = LimSlamVectorEnv("random", count, noise=EVERYTHING)
+        seen = [envs.reset(seed=seeds)[0]["ranges"]]
+        seen += [envs.step(np.full((count, 2), 0.5))[0]["ranges"] for _ in range(20)]
+        seen.append(envs.reset()[0]["ranges"])
+        return np.stack(seen, axis=1)
+
+    many = drive(4, [5, 9, 5, 7])
+    np.testing.assert_array_equal(many[0], many[2])
+    assert not np.array_equal(many[0], many[1])
+    np.testing.assert_array_equal(drive(1, [9])[0], many[1])
+    np.testing.assert_array_equal(drive(2, np.array([7, 5])), many[[3, 0]])
+
+
+def test_a_seed_may_be_left_out_and_those_left_out_go_on_from_the_one_before():
+    def ranges(seeds):
+        envs = LimSlamVectorEnv("env1", 3, sensor_noise=0.02)
+        envs.reset(seed=4)
+        return envs.reset(seed=seeds)[0]["ranges"]
+
+    one, other = ranges([1, None, None]), ranges([2, None, None])
+    np.testing.assert_array_equal(one[1:], other[1:])
+    assert not np.array_equal(one[0], other[0])
+    assert not np.array_equal(one[1], one[2])
+
+
+def test_several_robots_take_a_seed_for_each_environment():
+    envs = limslam_env.parallel_vector_env(num_robots=2, num_envs=2, sensor_noise=0.02)
+    seen = envs.reset(seed=[3, 3])[0]
+    np.testing.assert_array_equal(seen["robot_1"]["ranges"][0], seen["robot_1"]["ranges"][1])
+
+
+@pytest.mark.parametrize("seed", [[1, 2], [1, 2, 3.5], [1, 2, -3], [1, True, 2], "abc", 2.5])
+def test_seeds_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(seed):
+    envs = LimSlamVectorEnv("env1", 3, sensor_noise=0.02)
+    plain = LimSlamVectorEnv("env1", 3, sensor_noise=0.02)
+    for each in (envs, plain):
+        each.reset(seed=0)
+    with pytest.raises(ValueError, match=r"a seed is a whole number, 0 or more, or a list of 3"):
+        envs.reset(seed=seed)
+    actions = np.full((3, 2), 0.5)
+    np.testing.assert_array_equal(envs.step(actions)[0]["ranges"], plain.step(actions)[0]["ranges"])
+
+
+def test_a_picture_shows_what_each_agent_believes():
+    envs = LimSlamVectorEnv("env1", 2, render_mode="rgb_array")
+    envs.reset(seed=0)
+    before = envs.render()
+    envs.overlays = [Overlay(), Overlay(pose=np.array([3.5, 3.5, 0.0]))]
+    after = envs.render()
+    np.testing.assert_array_equal(before[0], after[0])
+    assert not np.array_equal(before[1], after[1])

@@ -6,6 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 
 from limslam_env import LimSlamEnv, NoiseConfig, RobotSpec
 from limslam_env.envs.wrappers import (
@@ -19,6 +20,7 @@ from limslam_env.envs.wrappers import (
     FlattenObservation,
     FrameStackObservation,
     NormalizedObservation,
+    NormalizedVectorObservation,
     PrivilegedLocalMap,
     VelocityAction,
 )
@@ -327,7 +329,35 @@ def test_there_is_no_truth_to_show_of_other_environments():
 
 def test_observations_without_ranges_and_wheels_are_refused():
     for other in (gym.make("CartPole-v1"), FlattenObservation(LimSlamEnv("env1"))):
-        with pytest.raises(ValueError, match="must hold ranges and wheels"):
+        with pytest.raises(ValueError, match="must hold ranges, not"):
             NormalizedObservation(other)
     with pytest.raises(ValueError, match="must hold ranges and wheels"):
         PrivilegedLocalMap(FlattenObservation(LimSlamEnv("env1")))
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_batch_is_normalized_as_single_environments_are(mode):
+    settings = {"num_envs": 2, "max_episode_steps": 3, "autoreset_mode": mode}
+    plain = gym.make_vec("LimSlam-Env1-v0", **settings)
+    batch = NormalizedVectorObservation(gym.make_vec("LimSlam-Env1-v0", **settings))
+    alone = NormalizedObservation(LimSlamEnv("env1"))
+    assert batch.single_observation_space == alone.observation_space
+    told, expected = batch.reset(seed=0)[0], plain.reset(seed=0)[0]
+    for step in range(3):
+        for row in range(2):
+            single = alone.observation({key: part[row] for key, part in expected.items()})
+            for key, part in single.items():
+                np.testing.assert_array_equal(told[key][row], part)
+        assert batch.observation_space.contains(told)
+        told, *_, info = batch.step(np.full((2, 2), 0.5))
+        expected, *_, said = plain.step(np.full((2, 2), 0.5))
+        assert ("final_obs" in info) == (step == 2 and mode is AutoresetMode.SAME_STEP)
+        if "final_obs" in info:
+            for one, other in zip(info["final_obs"], said["final_obs"], strict=True):
+                np.testing.assert_array_equal(one["wheels"], alone.observation(other)["wheels"])
+
+
+@pytest.mark.parametrize("reach", [0.0, -1.0, np.nan, "far"])
+def test_a_reach_that_cannot_be_is_refused(reach):
+    with pytest.raises(ValueError, match="the reach must be a number from"):
+        NormalizedObservation(LimSlamEnv("env1"), reach=reach)

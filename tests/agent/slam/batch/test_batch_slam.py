@@ -27,7 +27,7 @@ from limslam_agent.config.presets import self_calibrating
 from limslam_agent.slam.batch.state import Capacity
 from limslam_agent.slam.slam import Estimator
 from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, Observation, RobotSpec
-from limslam_env.envs.wrappers import NormalizedObservation
+from limslam_env.envs.wrappers import NormalizedObservation, NormalizedVectorObservation
 from limslam_env.geometry import FloatArray
 from limslam_env.robots import ring
 
@@ -338,6 +338,34 @@ def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None
                     seen = one.reset()[0]
             same(told, seen, row)
     env.close()
+
+
+def test_pictures_of_a_batch_show_the_beliefs() -> None:
+    made = {"num_envs": 2, "sensor_noise": 0.02, "render_mode": "rgb_array"}
+    plain = gym.make_vec("LimSlam-Env1-v0", **made)
+    env = SlamVectorObservation(gym.make_vec("LimSlam-Env1-v0", **made), config_of(0.02))
+    for each in (plain, env):
+        each.reset(seed=0)
+        for _ in range(30):
+            each.step(np.full((2, 2), 0.5, dtype=np.float32))
+    told = env.render()
+    for without, shown, overlay in zip(plain.render(), told, env.unwrapped.overlays, strict=True):
+        assert not np.array_equal(without, shown)
+        assert len(overlay.segments)
+
+
+def test_a_normalized_batch_of_beliefs_lies_in_its_space() -> None:
+    env = NormalizedVectorObservation(
+        SlamVectorObservation(vector(AutoresetMode.SAME_STEP), config_of(0.02))
+    )
+    told, _ = env.reset(seed=100)
+    finals = []
+    for _ in range(70):
+        assert env.observation_space.contains(told)
+        told, *_, info = env.step(np.full((3, 2), 0.6, dtype=np.float32))
+        finals += [seen for seen in info.get("final_obs", ()) if seen is not None]
+    assert finals
+    assert all(env.single_observation_space.contains(seen) for seen in finals)
 
 
 def test_what_cannot_be_wrapped_is_refused() -> None:

@@ -12,6 +12,7 @@ from limslam_env import World, load_world
 from limslam_env.worlds.formats import dxf as dxf_module
 from limslam_env.worlds.formats import svg as svg_module
 from limslam_env.worlds.formats.loading import write_world
+from limslam_env.worlds.regions import start_region
 
 RADIUS = 0.10
 INKSCAPE = """<?xml version="1.0" encoding="UTF-8"?>
@@ -398,3 +399,39 @@ def test_notes_are_no_part_of_a_world(tmp_path):
     kept = load_world(tmp_path / "plan.toml")
     assert kept == world
     assert (kept.notes, len(world.notes)) == ((), 1)
+
+
+def dungeon(path, colours) -> None:
+    """A picture of a solid block with a room of 3 x 2 m in it, and a block where robots start, with
+    the colours of walls, floor and start.
+    """
+    pixels = np.full((480, 640, len(np.atleast_1d(colours[0]))), colours[0], dtype=np.uint8)
+    pixels[100:200, 300:450] = colours[1]
+    pixels[140:156, 340:356] = colours[2]
+    Image.fromarray(pixels.squeeze()).save(path)
+
+
+@pytest.mark.parametrize(
+    "colours",
+    [(127, 195, 208), ((127, 127, 127, 255), (195, 195, 194, 255), (255, 216, 0, 255))],
+)
+def test_a_map_of_an_exploration_paper_says_where_robots_start(tmp_path, colours):
+    path = tmp_path / "map.png"
+    dungeon(path, colours)
+    world = load_world(path, metres_per_pixel=0.02)
+    np.testing.assert_allclose(world.starts, [[348 * 0.02, (480 - 148) * 0.02, 0.0]])
+    world.check(RADIUS)
+    region = start_region(world, RADIUS)
+    assert region.area == pytest.approx(6.0, abs=0.3)
+    assert region.warning is None, "solid walls and the outside are no floor"
+
+
+def test_the_floor_beside_a_solid_block_is_still_missed(tmp_path):
+    path = tmp_path / "map.png"
+    dungeon(path, (127, 195, 208))
+    pixels = np.array(Image.open(path))
+    pixels[20:460, 20:280] = 195
+    Image.fromarray(pixels).save(path)
+    region = start_region(load_world(path, metres_per_pixel=0.02), RADIUS)
+    assert region.share == pytest.approx(6.0 / (6.0 + 440 * 260 * 0.02**2), abs=0.02)
+    assert "the other regions cannot be reached" in region.warning
