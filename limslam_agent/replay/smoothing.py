@@ -26,10 +26,10 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.run import FilteredRun, SmoothedRun
 from limslam_agent.slam.line_graph.smoother import smooth_run
 from limslam_agent.slam.map_graph.chunk_graph import KEPT
-from limslam_agent.slam.map_graph.key_poses import LogData, odometry_trajectory
+from limslam_agent.slam.map_graph.key_poses import LogData
 from limslam_agent.slam.map_graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.map_graph.stages import GraphResult, Report, rounds
+from limslam_agent.slam.map_graph.stages import GraphResult, Report, by_odometry, rounds
 from limslam_agent.slam.map_graph.wall_lines import lines_in
 from limslam_agent.status.status import lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
@@ -43,7 +43,7 @@ _DRAWN_LINES = WallLineConfig(
 )
 
 
-_MORE_ROUNDS = 4  # of a doubtful path; felt by "csail 4 beams", "fr079 6 beams" and "made-up logs"
+_MORE_ROUNDS = 2  # of a doubtful path
 
 
 def smoothed_by_graph(
@@ -100,10 +100,7 @@ def trusted_path(
         found.append((path, path_signals(path, since)))
         if found[-1][1].status.level == "ok":
             return found[-1]
-    blind = next(rounds(replace(data, hit=np.zeros_like(data.hit)), start, config, report))
-    keys = found[0][0].keys
-    path = replace(blind, keys=keys, trajectory=odometry_trajectory(keys, start))
-    covariance = path_signals(blind, since).covariance
+    path, covariance = by_odometry(found[0][0], start)
     found.append((path, replace(path_signals(path, since), covariance=covariance)))
     return min(found, key=lambda each: (round(each[1].status.chance, 2), each[1].position_std))
 

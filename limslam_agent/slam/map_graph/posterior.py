@@ -5,10 +5,13 @@ as exactly as odometry and its links say. How good the
 odometry is follows from the path itself: its variances are estimated by expectation maximisation.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from limslam_agent.config.graph import OdometryErrorConfig
 from limslam_agent.slam.graph.factors import Relations
 from limslam_agent.slam.graph.graph import Graph
 from limslam_agent.slam.map_graph.factors import odometry
@@ -18,6 +21,9 @@ from limslam_env.geometry import FloatArray
 
 _MOST = 60  # windows over which odometry is judged, and poses of a path that are judged
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
+_ASSUMED = 0.2  # windows by which the assumed variances of odometry count
+_EVIDENCE = 3.0  # standard deviations by which a constant error of odometry differs from none
+_LEAST_STD = 1e-5  # of a constant error of odometry
 
 
 def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relations) -> FloatArray:
@@ -32,11 +38,12 @@ def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relat
     """
     if len(keys) < 2:
         return np.zeros((2, 2))
-    graph = bundle_graph(keys, trajectory, relations)
-    for _ in range(_ITERATIONS):
-        ratios = odometry_ratios(keys, trajectory, graph)
-        keys = replace(keys, step_variances=keys.step_variances * ratios)
-        graph = bundle_graph(keys, trajectory, relations)
+    keys = with_learned_noise(keys, trajectory, partial(bundle_graph, relations=relations))
+    return covariance_in(bundle_graph(keys, trajectory, relations), keys, trajectory)
+
+
+def covariance_in(graph: Graph, keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
+    """The covariance as in :func:`position_covariance`, of the path of a graph."""
     evenly = _evenly(keys.key_driven[-1], keys.config.maps.length)
     numbers = np.unique(np.searchsorted(keys.key_driven, evenly))
     columns = graph.nodes.columns("poses")[numbers, :2].ravel()
@@ -44,6 +51,33 @@ def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relat
     rows[columns, np.arange(len(columns))] = 1.0
     covariance = graph.solved(graph.factorise(), rows)[columns]
     return aligned_covariance(covariance, trajectory.poses[numbers, :2])
+
+
+def with_learned_noise(
+    keys: KeyPoses, trajectory: Trajectory, graph_of: Callable[[KeyPoses, Trajectory], Graph]
+) -> KeyPoses:
+    """The key poses with the variances of odometry that make a path likeliest in its graph."""
+    for _ in range(_ITERATIONS):
+        ratios = odometry_ratios(keys, trajectory, graph_of(keys, trajectory))
+        keys = replace(keys, step_variances=keys.step_variances * ratios)
+    return keys
+
+
+def with_learned_errors(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> KeyPoses:
+    """The key poses with narrower priors of the constant errors of odometry.
+
+    An error has the prior variance by which its estimate exceeds what chance explains.
+    """
+    columns = graph.nodes.columns("errors")[0]
+    rows = np.zeros((graph.nodes.size, len(columns)))
+    rows[columns, np.arange(len(columns))] = 1.0
+    variances = np.diag(graph.solved(graph.factorise(), rows)[columns])
+    excess = trajectory.bias**2 - _EVIDENCE**2 * variances
+    config = keys.config
+    stds = np.sqrt(np.clip(excess, _LEAST_STD**2, np.square(config.motion.stds)))
+    turn, scale, gain, delay, direction = stds.tolist()
+    motion = OdometryErrorConfig(turn, scale, gain, delay, direction)
+    return replace(keys, config=replace(config, motion=motion))
 
 
 def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatArray:
@@ -93,7 +127,8 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
             np.add.at(sums[window, part], columns[begin:end], factors.jacobian[begin:end, part])
     rows = sums.reshape(-1, graph.nodes.size).T
     posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0).reshape(-1, 3)
-    return np.asarray(((squares + posterior) / assumed).mean(axis=0))
+    ratios = (squares + posterior) / assumed
+    return np.asarray((ratios.sum(axis=0) + _ASSUMED) / (len(ratios) + _ASSUMED))
 
 
 def _evenly(length: float, apart: float) -> FloatArray:

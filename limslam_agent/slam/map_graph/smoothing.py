@@ -102,6 +102,13 @@ def cautious_graph(keys: KeyPoses, trajectory: Trajectory) -> Graph:
     return _graph(keys, trajectory, link_factor=_INFLATION)
 
 
+def odometry_graph(keys: KeyPoses, trajectory: Trajectory) -> Graph:
+    """The graph of odometry alone."""
+    graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS)))
+    _add_odometry(graph, keys, trajectory)
+    return graph
+
+
 def motion_covariances(graph: Graph, poses: FloatArray, numbers: IntArray) -> FloatArray:
     """Covariances (c - 1, 3, 3) of the motions between the key poses ``numbers`` (c,), of all poses
     (m, 3).
@@ -129,9 +136,7 @@ def _graph(
     lines = find_lines(cloud, walls) if walls else None
     count = len(lines.angles) if lines else 0
     graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2)))
-    graph.add(odometry(keys, trajectory))
-    known = np.diag(np.array(config.motion.stds) ** -2.0)
-    graph.add(prior("errors", trajectory.bias[None], known))
+    _add_odometry(graph, keys, trajectory)
     std = link_factor * math.hypot(_LINK_STD, keys.data.range_std)
     robust = geman_mcclure(_LINK_KERNEL)
     graph.add_robust(point_link(poses, cloud, links_along(cloud), std), robust)
@@ -145,6 +150,12 @@ def _graph(
         graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))
         graph.add(prior("walls", np.zeros((count, 2)), _WALL_PRIOR * np.eye(2)))
     return graph
+
+
+def _add_odometry(graph: Graph, keys: KeyPoses, trajectory: Trajectory) -> None:
+    graph.add(odometry(keys, trajectory))
+    known = np.diag(np.array(keys.config.motion.stds) ** -2.0)
+    graph.add(prior("errors", trajectory.bias[None], known))
 
 
 def _chained(trajectory: Trajectory, graph: Graph) -> Trajectory:

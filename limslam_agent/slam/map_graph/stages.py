@@ -12,7 +12,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations
-from limslam_agent.slam.map_graph.agreement import supported
+from limslam_agent.slam.map_graph.agreement import supported, visit_counts
 from limslam_agent.slam.map_graph.chunk_graph import (
     KEPT,
     KEPT_WEIGHT,
@@ -38,10 +38,16 @@ from limslam_agent.slam.map_graph.key_poses import (
     odometry_trajectory,
 )
 from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.map_graph.posterior import (
+    covariance_in,
+    with_learned_errors,
+    with_learned_noise,
+)
 from limslam_agent.slam.map_graph.smoothing import (
     bundle,
     cautious_graph,
     motion_covariances,
+    odometry_graph,
     smooth_locally,
 )
 from limslam_env.geometry import FloatArray, IntArray, se2
@@ -50,6 +56,14 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 # less, s, is the last.
 _SYNCHRONISATIONS = 3
 _SYNCHRONOUS = 0.02
+# How often the noise of odometry is learned, as long as its variance falls below this share
+_LEARNED = 3
+_BETTER = 0.5
+_CAUTION = 2.0  # of the variances of odometry alone, where they limit those of hops
+# Where visits contradict each other, hops as near as this, in lengths of chunks, have these further
+# standard deviations, m and rad
+_BENT_WITHIN = 3.0
+_BENT_STDS = 0.3, 0.3, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +79,8 @@ class GraphResult:
     errors: FloatArray  # the estimated constant errors (5,) of odometry, as in :class:`Trajectory`
     loops: list[Loop]  # all loops that were found
     chunk_keys: IntArray  # the key poses (c,) in the middle of the chunks
+    # the key poses with the noise and the constant errors that odometry has by the ranges
+    learned: KeyPoses | None = field(default=None, repr=False)
 
     @property
     def poses(self) -> FloatArray:
@@ -106,30 +122,37 @@ def rounds(
         Called at the start of each stage.
     """
     report("local smoothing")
-    keys, local, known = _synchronised(data, config)
+    keys, local, known, learned = _synchronised(data, config)
     trajectory = local
     has_points = len(keys.point_event) > 0
     has_loops = has_points and len(chunk_middles(keys, config.maps.hop)) > 1
+    doubtful = np.zeros(0, dtype=np.int64)
     while True:
         if has_loops:
-            found = smooth_with_loops(keys, local, trajectory, report)
+            found = smooth_with_loops(keys, local, trajectory, report, doubtful)
+            doubtful = visit_counts(keys, found.trajectory).doubtful()
         else:
             kind = "local" if has_points else "odometry"
             none = np.zeros(1, dtype=np.int64)
             found = GraphResult(kind, keys, local, local.bias, [], none)
         trajectory = found.trajectory
         placed = trajectory.moved(np.asarray(start, dtype=float))
-        yield replace(found, trajectory=placed, errors=joined_bias(known, found.errors))
+        yield replace(
+            found, trajectory=placed, errors=joined_bias(known, found.errors), learned=learned
+        )
         if not has_loops:
             return
 
 
-def _synchronised(data: LogData, config: GraphConfig) -> tuple[KeyPoses, Trajectory, FloatArray]:
-    """The log with its odometry at the times of the ranges, its local trajectory, and what was
-    corrected (5,).
+def _synchronised(
+    data: LogData, config: GraphConfig
+) -> tuple[KeyPoses, Trajectory, FloatArray, KeyPoses]:
+    """The log with its odometry at the times of the ranges, its local trajectory, what was
+    corrected (5,), and the log with the priors that it gives itself.
 
     The motions between key poses are linear in the delay for short delays only, so the delay is
-    estimated repeatedly.
+    estimated repeatedly. Where odometry is better than is assumed, its noise is then learned, and
+    all is smoothed again: walls that are not straight would bend the path otherwise.
     """
     known = np.zeros(ERRORS)
     delay = 0.0
@@ -143,22 +166,50 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[KeyPoses, Traject
         delay = float(local.bias[3])
         if abs(delay) < _SYNCHRONOUS:
             break
-    return keys, local, known
+    learned = keys
+    if len(keys) > 1 and len(keys.point_event):
+        for _ in range(_LEARNED):
+            before = keys.step_variances[:, 2].sum()
+            keys = with_learned_noise(keys, local, cautious_graph)
+            learned = with_learned_errors(keys, local, cautious_graph(keys, local))
+            local = smooth_locally(learned, odometry_trajectory(keys, np.zeros(3)))
+            if keys.step_variances[:, 2].sum() > _BETTER * before:
+                break
+    return keys, local, known, learned
+
+
+def by_odometry(found: GraphResult, start: FloatArray) -> tuple[GraphResult, FloatArray]:
+    """The path of odometry alone of a log that was smoothed, and the covariance (2 k, 2 k) of its
+    positions, by what the log says of its odometry.
+    """
+    keys = found.learned or found.keys
+    path = odometry_trajectory(found.keys, np.asarray(start, dtype=float))
+    covariance = covariance_in(odometry_graph(keys, path), keys, path)
+    return replace(found, kind="odometry", trajectory=path, errors=path.bias, loops=[]), covariance
 
 
 def smooth_with_loops(
-    keys: KeyPoses, local: Trajectory, trajectory: Trajectory, report: Report
+    keys: KeyPoses,
+    local: Trajectory,
+    trajectory: Trajectory,
+    report: Report,
+    doubtful: IntArray | None = None,
 ) -> GraphResult:
     """Find the loops between chunks that are cut from a trajectory, and solve for all key poses.
 
     The trajectory ``local`` without loops tells how well the motions between the chunks are known.
+    Around ``doubtful`` key poses, where visits of a place contradict each other, they are bent.
     """
     maps = keys.config.maps
     report("search for loops")
     middles = chunk_middles(keys, maps.hop)
     poses = trajectory.poses[middles]
-    covariances = motion_covariances(cautious_graph(keys, local), local.poses, middles)
-    hops = Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances))
+    covariances = _hop_covariances(keys, local, middles)
+    if doubtful is not None and len(doubtful):
+        travel = keys.key_travel
+        away = np.abs(travel[middles[1:], None] - travel[doubtful]).min(axis=1)
+        covariances[away < _BENT_WITHIN * maps.length] += np.diag(np.square(_BENT_STDS))
+    hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
     found = search_loops(cut_chunks(keys, trajectory, middles), poses[0], hops, maps)
     good = supported(found, poses, keys.key_travel[middles], maps.hop)
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
@@ -176,6 +227,18 @@ def smooth_with_loops(
     moved = carry_over(keys, trajectory, middles, solved)
     smoothed = bundle(keys, moved, _between_keys(judged, middles))
     return GraphResult("loops", keys, smoothed, smoothed.bias, judged, middles)
+
+
+def _hop_covariances(keys: KeyPoses, local: Trajectory, middles: IntArray) -> FloatArray:
+    """Covariances (c - 1, 3, 3) of the motions between chunks by the local graph, which are at most
+    those by odometry alone.
+    """
+    by_links, by_odometry = (
+        motion_covariances(graph(keys, local), local.poses, middles)
+        for graph in (cautious_graph, odometry_graph)
+    )
+    information = np.linalg.inv(inflated(by_links)) + np.linalg.inv(_CAUTION * by_odometry)
+    return np.asarray(np.linalg.inv(information))
 
 
 def _between_keys(loops: Sequence[Loop], middles: IntArray) -> Relations:
