@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from limslam_agent.policies.simple_policies import Laps as Laps
     from limslam_agent.policies.simple_policies import RandomPolicy as RandomPolicy
     from limslam_agent.policies.simple_policies import WallFollower as WallFollower
+    from limslam_agent.policies.target_policy import TargetPolicy as TargetPolicy
     from limslam_agent.replay.replay import replay_log as replay_log
     from limslam_agent.runs.evaluate import evaluate as evaluate
     from limslam_agent.runs.evaluate import medians as medians
@@ -56,6 +57,7 @@ _MODULES = {
     "RandomPolicy": "policies.simple_policies",
     "SlamObservation": "wrappers.single",
     "SlamVectorObservation": "wrappers.vector",
+    "TargetPolicy": "policies.target_policy",
     "WallFollower": "policies.simple_policies",
     "command": "cli.command",
     "evaluate": "runs.evaluate",

@@ -40,7 +40,7 @@ EXPLANATIONS = {
     ),
     "handover": (
         "The online graph goes on.",
-        "The filter is lost. The replay's path is that of the graph from here on, not shown here.",
+        "The filter is lost or doubtful. The replay's path is the graph's from here on, not shown.",
     ),
     "kidnap": (
         "The robot is carried to another place.",

@@ -242,7 +242,7 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     lines = _status(metrics) + _smoothed_status(metrics) + _errors(metrics)
     lines += _line(
         "",
-        "the filter was lost after {online_graph_from_s:.0f} s; the online graph went on",
+        "the online graph took over from the filter after {online_graph_from_s:.0f} s",
         metrics,
     )
     trajectories = {

@@ -109,9 +109,11 @@ class FrontierPolicy(MapExplorer):
             )
         return wheels
 
+    def _ignored(self, belief: Belief) -> BoolArray:
+        return cells_around(belief.grid, self._settled + self._failed)
+
     def _target(self, belief: Belief) -> Target | None:
-        ignored = cells_around(belief.grid, self._settled + self._failed)
-        return next_target(belief, ignored, self.robot, self._config)
+        return next_target(belief, self._ignored(belief), self.robot, self._config)
 
     def _replan(self, belief: Belief) -> None:
         target = self._target(belief)

@@ -1,10 +1,11 @@
 """The estimate while a log is replayed: by the filter, and by the online graph once the filter is
-lost.
+lost or doubtful.
 
 The filter is far better than the graph where its model holds: walls are straight, beams are short,
-and odometry is as noisy as stated. Once it is lost in a log of odometry poses, it does not find its
-place again. The online graph goes on then. Up to that event, the graph has processed the same
-events beside the filter.
+and odometry is as noisy as stated. Where its model does not hold, it is doubtful within metres. Its
+path is bent soon, and once it is lost in a log of odometry poses, it does not find its place again.
+The online graph goes on then. Up to that event, the graph has processed the same events beside the
+filter.
 """
 
 import time
@@ -12,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
 from limslam_agent.logs.odometry_breaks import OdometryBreak, breaks_in_words
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapping.mapper import Mapper
@@ -42,16 +42,9 @@ ESTIMATE = np.dtype(
 """What is believed after an event."""
 
 
-def is_handed_over(log: RecordedLog, config: AgentConfig, status: Status) -> bool:
-    """Whether the online graph takes over from the filter with this status in the replay of a
-    log.
-    """
-    return log.odometry is not None and config.smoothing is not None and status.level == "lost"
-
-
 class LogEstimate:
-    """What the filter of a mapper believes until it is lost, and, in a log of poses, the online
-    graph from then on.
+    """What the filter of a mapper believes, and, in a log of poses, what the online graph believes
+    once it is the better one.
 
     Attributes
     ----------
@@ -104,7 +97,7 @@ class LogEstimate:
         return self._mapper.slam.refused_readings + self._refused
 
     def step(self, observation: Observation) -> tuple[Any, ...]:
-        """Process the next event, by the filter as long as it is not lost, and by the graph.
+        """Process the next event, by the filter until the graph goes on, and by the graph.
         Returns the values of an ``ESTIMATE``.
         """
         mapper = self._mapper
@@ -140,8 +133,7 @@ class LogEstimate:
             job = graph.job_ms
             spent += 1e3 * (time.perf_counter() - begin) - job
             # The filter does not find its place again after a motion that nobody knows.
-            is_lost = passed is not None or is_handed_over(self._log, mapper.config, self.status)
-            if self.handed_over is None and is_lost:
+            if self.handed_over is None and (passed is not None or self._is_graph_better(graph)):
                 self.handed_over = number
         if graph is None or self.handed_over is None:
             pose = mapper.slam.pose
@@ -151,3 +143,8 @@ class LogEstimate:
             covariance = graph.covariance
         level = LEVELS.index(self.status.level)
         return pose, covariance, self._odometry, level, spent, job
+
+    def _is_graph_better(self, graph: "OnlineGraph") -> bool:
+        """Whether the filter is lost, or doubtful although the graph has a local map."""
+        level = self._mapper.statuses[0].level
+        return level == "lost" or (level == "unsure" and graph.places is not None)

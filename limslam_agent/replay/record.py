@@ -131,8 +131,8 @@ class Replay:
     places: PlaceHistory  # what happened when the robot was lost
     # What is known at the end of the log. None if the settings do not smooth it.
     smoothed: Smoothed | None = None
-    # The event from which on the online graph gives the estimate, since the filter is lost. None if
-    # there is none.
+    # The event from which on the online graph gives the estimate, since the filter is lost or
+    # doubtful. None if there is none.
     handed_over: int | None = None
     # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if
     # no beam is

@@ -22,7 +22,6 @@ from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError
 from limslam_agent.output.formats.content import read_readings
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.replay.hand_over import is_handed_over
 from limslam_agent.runs.episode import policies_of, team_of, told_starts
 from limslam_agent.runs.policies import FROM_OUTSIDE
 from limslam_agent.runs.policy_file import is_file_policy
@@ -118,10 +117,11 @@ def inspect_log(
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = float("inf")  # as in a replay
     recorder = Recorder(mapper, len(log))
+    since = None if run is None else run.metrics.get("online_graph_from_s")
     handed_over = len(log)
     for row, observation in enumerate(log.observations()):
         mapper.step(observation)
-        if is_handed_over(log, config, mapper.statuses[0]):
+        if since is not None and log.time[row] - log.time[0] >= since:
             handed_over = min(handed_over, row)
         seen = (
             log.ranges[row][None]
@@ -137,7 +137,7 @@ def inspect_log(
         recorder.log.mark(
             handed_over,
             "handover",
-            "the filter is lost, and the replay goes on with the online graph",
+            "the filter is lost or doubtful, and the replay goes on with the online graph",
         )
     return _inspection(recorder, mapper, run, None, handed_over)
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.policy import Policy
+from limslam_agent.policies.target_policy import TargetPolicy
 from limslam_agent.runs.actor_checks import acts_on_belief
 from limslam_env.interface import RobotSpec
 
@@ -74,6 +75,7 @@ def made_by_file(
     policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int
 ) -> list[Any]:
     """What a class or a function of a file makes for each robot, which may be a policy or an actor.
+    A planner that only chooses targets (``target(grid, pose)``) is made a policy.
 
     Raises
     ------
@@ -90,10 +92,16 @@ def made_by_file(
                 f"{_place_in_file(error, policy) or path}: {type(error).__name__}: {error}"
             ) from error
         maker = _maker(module, path, name)
-        return [
+        made = [
             maker({"robot": robot, "config": config, "seed": np.random.default_rng([seed, number])})
             for number in range(robots)
         ]
+    return [
+        TargetPolicy(each, robot, config)
+        if hasattr(each, "target") and not hasattr(each, "act")
+        else each
+        for each in made
+    ]
 
 
 @contextmanager

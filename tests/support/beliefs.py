@@ -63,10 +63,11 @@ def drive(pose: FloatArray, action: FloatArray) -> FloatArray:
 def explored(
     world: World | str, policy: Policy, max_time: float, seed: int = 100
 ) -> tuple[float, int]:
-    """True coverage and contacts begun of an agent with a policy, 2 cm noise."""
+    """True coverage and contacts begun of an agent with a policy and its robot, 2 cm noise."""
+    robot = getattr(policy, "robot", ROBOT)
     noise = NoiseConfig(sensor_noise=0.02)
-    env = LimSlamEnv(world, robot=ROBOT, noise=noise, coverage_goal=None)
-    agent = LimSlamAgent(ROBOT, preset("paper", NominalNoise(0.02)), policy)
+    env = LimSlamEnv(world, robot=robot, noise=noise, coverage_goal=None)
+    agent = LimSlamAgent(robot, preset("paper", NominalNoise(0.02)), policy)
     observation, info = env.reset(seed=seed)
     agent.reset(info["pose"])
     contacts = [False]

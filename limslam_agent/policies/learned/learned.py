@@ -22,8 +22,13 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
-from limslam_agent.policies.learned.polar_view import FAR, observe
-from limslam_agent.policies.targets import cells_near_robots, nearer_to_others
+from limslam_agent.policies.learned.polar_view import FAR, expected_ranges, observe
+from limslam_agent.policies.targets import (
+    Target,
+    cells_near_robots,
+    nearer_to_others,
+    next_target,
+)
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -55,14 +60,17 @@ _WINDOW = 8.0
 # Distance to the nearest frontier, m, up to which the network drives. It is the distance of the
 # network's input, in which small remnants count as farther away.
 _FARTHEST = 2.0
-# Least number of cells of a frontier. Most of what the network leaves are small remnants, cells at
-# wall ends that cost long ways and show next to nothing.
-_LARGE_FRONTIER = 8
+# Frontiers of at least so many widths of the robot are explored first. Most of what the network
+# leaves are small remnants, cells at wall ends that cost long ways and show next to nothing.
+_LARGE = 4.0
 
 
 class LearnedPolicy(FrontierPolicy):
     """Drives at top speed in directions that a network chooses twice a second. Where there is
     little to see, the robot explores frontiers at the same speed, and so ends the exploration.
+
+    The network knows the beams of the robot that it was trained with. For a robot with another
+    number of beams, it gets what those beams would read by the believed grid.
 
     Parameters
     ----------
@@ -70,9 +78,15 @@ class LearnedPolicy(FrontierPolicy):
         Body, and the settings that all policies share. Those of the paper's robot and the default
         settings if left out.
     network
-        Network that scores directions. The shipped one by default.
+        Network that scores directions. The shipped one by default. It was trained with as many
+        beams as the robot has, or as the paper's robot has.
     seed
         Seed of the random numbers, or a generator.
+
+    Raises
+    ------
+    ValueError
+        If the network was trained with another number of beams.
 
     Attributes
     ----------
@@ -97,8 +111,14 @@ class LearnedPolicy(FrontierPolicy):
         config = config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
         self._generator = np.random.default_rng(seed)
-        large = max(config.min_frontier, _LARGE_FRONTIER)
-        super().__init__(robot, replace(config, speed=robot.max_wheel_speed, min_frontier=large))
+        # The robot whose beams the network knows.
+        self._eyes = robot if len(robot.beams) == self._network.readings else RobotSpec()
+        if len(self._eyes.beams) != self._network.readings:
+            raise ValueError(
+                f"the network was trained with {self._network.readings} beams, which neither this "
+                f"robot with {len(robot.beams)} nor the paper's robot has"
+            )
+        super().__init__(robot, replace(config, speed=robot.max_wheel_speed))
 
     def _forget_map(self) -> None:
         super()._forget_map()
@@ -111,8 +131,16 @@ class LearnedPolicy(FrontierPolicy):
         # Heading that the network has chosen, rad. None while the robot explores frontiers.
         self._heading: float | None = None
 
+    def _target(self, belief: Belief) -> Target | None:
+        size = math.ceil(_LARGE * 2.0 * self.robot.radius / belief.grid.cell)
+        large = replace(self._config, min_frontier=max(size, self._config.min_frontier))
+        target = next_target(belief, self._ignored(belief), self.robot, large)
+        return super()._target(belief) if target is None else target
+
     def _wheels(self, belief: Belief) -> FloatArray:
-        self._counts.append(int(np.count_nonzero(belief.grid.values)))
+        known = int(np.count_nonzero(belief.grid.values))
+        # Cells that become unknown again, and are seen again, are no growth.
+        self._counts.append(max(known, *self._counts, 0))
         if self._until_choice <= 0:
             self._choose(belief)
             self._until_choice = HOLD
@@ -125,7 +153,9 @@ class LearnedPolicy(FrontierPolicy):
         """Choose whether the network drives, and its heading."""
         view = self._network.view
         grid = own_part(belief, self.robot) if len(belief.other_poses) else belief.grid
-        observation = observe(grid, belief.pose, belief.ranges, self.robot, view)
+        is_own = self._eyes is self.robot
+        ranges = belief.ranges if is_own else expected_ranges(grid, belief.pose, self._eyes)
+        observation = observe(grid, belief.pose, ranges, self._eyes, view)
         # The last two numbers of the observation are the distance to a frontier and whether there
         # is a way to it.
         is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= _FARTHEST

@@ -44,6 +44,11 @@ class DirectionNetwork:
     weights: dict[str, Weights]
     view: ViewConfig
 
+    @property
+    def readings(self) -> int:
+        """Number of beams of the robot that the network was trained with."""
+        return int(self.weights["state.weight"].shape[1]) - 2
+
     def scores(self, observation: NDArray[np.float32]) -> Weights:
         """Logits (directions,) of an observation (size,) that ``polar_view.observe`` has made."""
         directions = self.view.directions

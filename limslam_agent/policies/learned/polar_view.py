@@ -144,6 +144,18 @@ def observe(
     return np.concatenate(told).astype(np.float32)
 
 
+def expected_ranges(grid: GridView, pose: FloatArray, robot: RobotSpec) -> FloatArray:
+    """What a robot's beams (n_beams,) would read at a pose (3,) by the believed grid, m: the
+    distances of the first occupied cells, or the longest readings.
+    """
+    places = np.arange(0.0, robot.max_ranges.max(), 0.5 * grid.cell)
+    points = robot.beam_origins[:, None] + places[:, None] * robot.beam_directions[:, None]
+    values = grid.values_at(transform_points(pose, points.reshape(-1, 2)))
+    is_wall = (values < 0).reshape(len(robot.beams), -1)
+    found = np.where(is_wall.any(axis=1), places[is_wall.argmax(axis=1)], np.inf)
+    return np.asarray(np.clip(found, robot.min_ranges, robot.max_ranges))
+
+
 def _shown_ahead(
     grid: GridView, pose: FloatArray, robot: RobotSpec, config: ViewConfig
 ) -> NDArray[np.float32]:

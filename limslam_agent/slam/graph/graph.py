@@ -132,6 +132,7 @@ class Graph:
         self._rows = list[IntArray]()
         self._columns = list[IntArray]()
         self._values = list[FloatArray]()
+        self._factors: SuperLU | None = None
 
     def add(self, factors: Factors) -> None:
         """Add factors without a robust kernel."""
@@ -164,6 +165,7 @@ class Graph:
 
     def add_sums(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
         """Add sums over factors: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
+        self._factors = None
         width = columns.shape[1]
         places = self._places[columns]
         self._values.append(hessian.ravel())
@@ -172,14 +174,16 @@ class Graph:
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
     def factorise(self) -> SuperLU:
-        """Factorise the matrix of the unknowns that are not fixed.
+        """Factorise the matrix of the unknowns that are not fixed, once for all factors.
 
         Raises
         ------
         DegenerateError
             If the matrix is singular.
         """
-        return _factorised(self._matrix(), self._column_order)
+        if self._factors is None:
+            self._factors = _factorised(self._matrix(), self._column_order)
+        return self._factors
 
     def solve(self) -> FloatArray:
         """The Gauss-Newton step (size,)."""

@@ -58,7 +58,7 @@ _LEAST_TURN = math.radians(8.0)
 _SIGMAS = 2.5
 _MOST_DISTANCE = 12.0
 _MOST_SHIFT = 4.0
-_MOST_TURN = math.radians(35.0)
+_MOST_TURN = math.radians(90.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
@@ -198,6 +198,7 @@ class ChunkGraph:
         self.poses = pose[None]
         self.hops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3)))
         self.loops = list[Loop]()
+        self._graph: Graph | None = None  # that of the poses
         self._config = config
         self._grid = lru_cache(_MOST_SEARCHED)(self._search_grid)
 
@@ -209,7 +210,9 @@ class ChunkGraph:
         poses = np.arange(len(self.poses))
         basis = rigid_motions(self.poses[:, :2])
         aligned = np.zeros((1, 2, len(poses), 3))
-        aligned[..., :2] = (np.eye(2 * len(poses))[-2:] - basis[-2:] @ basis.T).reshape(1, 2, -1, 2)
+        rows = -basis[-2:] @ basis.T
+        rows[:, -2:] += np.eye(2)
+        aligned[..., :2] = rows.reshape(1, 2, -1, 2)
         keys = tuple(("poses", poses[[number]]) for number in poses)
         factors = Factors(keys, np.zeros((1, 2)), aligned.reshape(1, 2, -1))
         return float(np.sqrt(max(np.trace(self.covariances(factors)[0]), 0.0)))
@@ -228,7 +231,9 @@ class ChunkGraph:
         """
         if len(self.poses) == 1:
             return np.zeros((*factors.errors.shape, factors.errors.shape[1]))
-        return _graph(self.poses, self.hops, self.loops, 1.0)[0].covariances(factors)
+        if self._graph is None:
+            self._graph = _graph(self.poses, self.hops, self.loops, 1.0)[0]
+        return self._graph.covariances(factors)
 
     def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
         """Add a chunk, search for its loops, and solve the graph if it has changed.
@@ -242,18 +247,16 @@ class ChunkGraph:
         )
         self.maps.append(chunk)
         self.poses = np.vstack((self.poses, se2.compose(self.poses[-1], motions[-1])))
-        self.close(self._loops_of_newest())
-        if len(motions) > 1:
-            self._solve()
+        self._graph = None
+        found = self._loops_of_newest()
+        if found or len(motions) > 1:
+            self.close(found)
 
     def close(self, found: Sequence[Loop]) -> None:
-        """Add loops."""
-        if found:
-            self.loops += found
-            self._solve()
-
-    def _solve(self) -> None:
+        """Add loops and solve the graph."""
+        self.loops += found
         self.poses, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
+        self._graph = None
 
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""

@@ -1,7 +1,7 @@
 """The online graph: the pose while driving, in a local frame whose place the graph of chunks gives.
 
 The step follows the odometry, corrected for the errors that are known, from the last event that was
-smoothed. It costs some microseconds. After each half metre of driving, a job smooths the last
+smoothed. It costs some microseconds. After each metre of driving, a job smooths the last
 metres. After each 2.5 m, when a chunk is complete, it also draws the chunk, searches for its loops,
 and solves the graph of chunks. A robot would do the job beside its steps. Its result therefore
 counts from the next key pose on, some decimetres later. The pose of the local frame in the world
@@ -41,7 +41,7 @@ _WINDOW = 6
 smoothing reach over 10 m, and a chunk over 7 m.
 """
 
-_EACH = 0.5
+_EACH = 1.0
 """Distance driven after which the last metres are smoothed, m."""
 
 _REVISED = 2

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.beliefs import explored
 
 from limslam_agent import Belief, FrontierPolicy, LearnedPolicy
 from limslam_agent.config.presets import GridConfig, PolicyConfig
@@ -19,11 +20,18 @@ from limslam_agent.policies.learned.network import (
     load_network,
     save_network,
 )
-from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfig, observe
+from limslam_agent.policies.learned.polar_view import (
+    AHEAD,
+    CHANNELS,
+    ViewConfig,
+    expected_ranges,
+    observe,
+)
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env import RobotSpec, World
 from limslam_env.geometry import se2
+from limslam_env.robots import four_beam_drone
 
 ROBOT = RobotSpec()
 VIEW = ViewConfig(directions=8, rings=4)
@@ -191,6 +199,7 @@ def test_what_is_nearer_to_a_teammate_is_left_to_it():
 def test_it_drives_where_the_network_says(turn):
     class Fixed:
         view = ViewConfig()
+        readings = 6
 
         def scores(self, _):
             return np.eye(24)[turn] * 50.0
@@ -215,6 +224,33 @@ def test_it_drives_where_the_network_says(turn):
     assert turned == pytest.approx({0: 0.0, 6: math.pi / 2, 18: -math.pi / 2}[turn], abs=0.35)
     if turn == 0:
         assert pose[0] == pytest.approx(1.15)
+
+
+@pytest.mark.parametrize("robot", [RobotSpec.lidar(36), four_beam_drone()])
+def test_a_robot_with_other_beams_explores_a_narrow_corridor_to_its_end(robot):
+    width = 0.64
+    walls = [[0, 0, 3, 0], [3, 0, 3, width], [3, width, 0, width], [0, width, 0, 0]]
+    world = World("corridor", (3.0, width), walls, starts=[[0.4, 0.3, 0.0]])
+    policy = LearnedPolicy(robot)
+    coverage, _ = explored(world, policy, 60.0, 0)
+    assert coverage > 0.95
+    assert policy.stop_reason == "explored: no frontier is left"
+
+
+def test_a_network_for_other_beams_is_refused_before_the_start():
+    trained = network()
+    trained.weights["state.weight"] = np.zeros((6, 11), dtype=np.float32)
+    with pytest.raises(ValueError, match="trained with 9 beams, which neither this robot with 36"):
+        LearnedPolicy(RobotSpec.lidar(36), network=trained)
+
+
+def test_what_beams_would_read_is_what_stands_in_the_map():
+    ranges = expected_ranges(HALL, np.array([1.0, 0.35, 0.0]), ROBOT)
+    # Walls lie 0.25 m to both sides, of which the rim takes 0.1 m; ahead, nothing is known.
+    np.testing.assert_allclose(ranges[[0, 5]], 0.15, atol=0.051)
+    assert ranges[2] == pytest.approx(0.15 / math.sin(math.radians(15.0)), abs=0.35)
+    turned = expected_ranges(HALL, np.array([0.35, 0.35, math.pi]), ROBOT)
+    assert turned[2] == turned[3] == pytest.approx(0.15, abs=0.06)
 
 
 @pytest.mark.parametrize("policy", ["learned"])
