@@ -18,10 +18,10 @@ from limslam_agent.logs.relations import read_relations, relation_errors, summar
 from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.smoothing import log_data
 from limslam_agent.slam.map_graph.chunk_graph import KEPT
-from limslam_agent.slam.map_graph.key_poses import LogData, delayed, integrate
+from limslam_agent.slam.map_graph.key_poses import LogData, choose_keys, delayed, integrate
 from limslam_agent.slam.map_graph.online import OnlineGraph
 from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.map_graph.stages import rounds
+from limslam_agent.slam.map_graph.stages import by_odometry, rounds
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise
 from limslam_env.geometry import se2
@@ -51,6 +51,18 @@ def test_biased_odometry_comes_out_right(two_laps):
     assert loop_errors(log.odometry, truth, LAP).mean() > 3.0
     assert loop_errors(result.poses, truth, LAP).mean() < 0.1
     assert np.hypot(*(result.poses - truth)[:, :2].T).mean() < 0.5
+
+
+def test_the_noise_of_odometry_is_learned_from_the_log(two_laps):
+    log, truth, noisy = two_laps
+    exact = smooth_log(replace(log, odometry=truth), truth[0], CONFIG)
+    assert np.hypot(*(exact.poses - truth)[:, :2].T).max() < 0.1
+    assumed = choose_keys(log, CONFIG).step_variances[:, 2].sum()
+    learned = [each.learned.step_variances[:, 2].sum() / assumed for each in (exact, noisy)]
+    assert learned[0] < 0.01 < learned[1] < 0.5
+    # What odometry alone states follows from it: the odometry of ``noisy`` misses turns.
+    stated = [np.trace(by_odometry(each, truth[0])[1]) for each in (exact, noisy)]
+    assert stated[0] < 0.01 * stated[1]
 
 
 def test_ranges_that_are_late_and_beams_that_are_turned_come_out_right(two_laps):
