@@ -5,9 +5,22 @@ Read ``features`` (section 2.2), ``filter`` (2.4, eq. 1 to 3), ``association`` (
 the step, and loop closing (2.5). Numbers that the paper does not give are settings.
 """
 
-from limslam_agent.slam.published.association import Associate, Innovation, Landmarks, Match
-from limslam_agent.slam.published.association import PaperAssociation as PaperAssociation
+from limslam_agent.slam.published.association import (
+    Associate,
+    Innovation,
+    Landmarks,
+    Match,
+    PaperAssociation,
+)
 from limslam_agent.slam.published.features import ObservedLine
 from limslam_agent.slam.published.slam import PublishedSlam
 
-__all__ = ["Associate", "Innovation", "Landmarks", "Match", "ObservedLine", "PublishedSlam"]
+__all__ = [
+    "Associate",
+    "Innovation",
+    "Landmarks",
+    "Match",
+    "ObservedLine",
+    "PaperAssociation",
+    "PublishedSlam",
+]

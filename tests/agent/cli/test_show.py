@@ -4,14 +4,19 @@ drawn.
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image as Pictures
 from support.command_line import refused, told
 from support.runs import Folder, result_of, run, write_poses, write_run
 
-from limslam_agent import Mapper, save_map
+from limslam_agent import Mapper, read_run, save_map
+from limslam_agent.cli.show import true_edges
+from limslam_agent.output.run_picture import draw_run
+from limslam_agent.output.summary import record_of, record_summary
 from limslam_env import RobotSpec
 
 pytestmark = pytest.mark.usefixtures("no_display")
@@ -44,6 +49,37 @@ def test_a_real_run_is_told_and_drawn_with_the_walls_of_its_world(real_run, tmp_
     (tmp_path / "changed" / "result.json").write_text(json.dumps(result))
     told("show", tmp_path / "changed", "--out", tmp_path / "changed.png")
     assert (picture_in(tmp_path / "changed.png") != drawn).any()
+
+
+def test_a_replay_beside_its_world_is_scored_and_drawn_with_the_true_walls(real_run, tmp_path):
+    folder = tmp_path / "again"
+    told("replay", real_run.path / "log.npz", "--preset", "paper", "--out", folder)
+    assert 0.0 <= result_of(folder)["metrics"]["wall_f1_aligned"] <= 1.0
+    edges = true_edges(read_run(folder))
+    np.testing.assert_array_equal(edges, true_edges(read_run(real_run.path)))
+    # Without that file, there is nothing to compare with.
+    shutil.copy(real_run.path / "log.npz", tmp_path)
+    told("replay", tmp_path / "log.npz", "--preset", "paper", "--out", tmp_path / "alone")
+    assert "wall_f1_aligned" not in result_of(tmp_path / "alone")["metrics"]
+    assert true_edges(read_run(tmp_path / "alone")) is None
+
+
+def test_the_sheet_of_a_run_with_a_known_truth_has_its_nees(real_run):
+    run = read_run(real_run.path)
+    for sheet, has_truth in ((run, True), (replace(run, true=[]), False)):
+        draw_run(figure := Figure(layout="constrained"), sheet, ["words"])
+        titles = [axes.get_ylabel() for axes in figure.axes]
+        assert any("NEES" in title for title in titles) == has_truth
+
+
+def test_events_are_told_in_the_order_of_time():
+    places = [{"event": "found", "step": 7}, {"event": "lost", "step": 3}]
+    poses = [np.zeros((9, 3))]
+    record = record_of(np.arange(9.0), poses, poses, places)
+    said = record_summary({"record": record})
+    assert [line for line in said if "place" in line] == [
+        "place       lost at 3.0 s, found at 7.0 s"
+    ]
 
 
 def test_without_a_display_it_says_where_the_picture_is(tmp_path):

@@ -58,6 +58,32 @@ def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
     )
 
 
+def test_a_legend_of_several_pictures_names_each_thing_once():
+    first = MapPicture("one", WALLS, [path(1.0)], [], WALLS, colour="#112233")
+    second = MapPicture("two", WALLS, [path(1.0)], [], online=[path(1.1)], colour="#445566")
+    found = [handle.get_label() for handle in legend(first, second)]
+    assert len(found) == len(set(found))
+    assert {"estimated path", "smoothed path", "path as estimated online", "true walls"} < {*found}
+    colours = {mark.get_color() for mark in painted(first).lines if mark.get_marker() == "o"}
+    assert colours == {"#112233"}
+
+
+def test_no_line_is_drawn_where_a_robot_was_carried():
+    carried = np.vstack((path(1.0), path(1.0) + np.array([0.0, 4.0])))
+    drawn = [line.get_xydata() for line in painted(MapPicture("", WALLS, [carried])).lines]
+    (line,) = [points for points in drawn if len(points) > len(carried)]
+    assert np.flatnonzero(np.isnan(line[:, 0])).tolist() == [40]
+    assert np.nanmax(np.hypot(*np.diff(line, axis=0).T)) < 0.2
+
+
+def test_a_robot_without_a_path_is_where_it_may_be():
+    spread = [0.04 * np.eye(3)]
+    assert labels(MapPicture("", WALLS, [path(1.0)[:1]], covariances=spread))[1:] == [
+        "robot",
+        "95 % of its positions",
+    ]
+
+
 @pytest.mark.parametrize("robots", [1, 2, 8])
 def test_a_map_is_a_png_that_can_be_looked_at(tmp_path, robots):
     ways = [path(0.3 * number) for number in range(robots)]
