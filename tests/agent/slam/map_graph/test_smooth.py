@@ -22,6 +22,7 @@ from limslam_agent.slam.map_graph.key_poses import LogData, choose_keys, delayed
 from limslam_agent.slam.map_graph.online import OnlineGraph
 from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.map_graph.stages import by_odometry, rounds
+from limslam_agent.slam.map_graph.window import RecentEvents
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise
 from limslam_env.geometry import se2
@@ -287,6 +288,15 @@ def test_a_pose_uses_no_later_event(lap):
     cut_covariances = cut_covariances[:CUT]
     np.testing.assert_array_equal(cut_poses, poses[:CUT])
     np.testing.assert_array_equal(cut_covariances, covariances[:CUT])
+
+
+def test_the_motion_of_the_last_moment_is_a_share_of_the_last_motions():
+    recent = RecentEvents()
+    for time, x in ((0.0, 0.0), (1.0, 1.0), (2.0, 3.0)):
+        pose = np.array([x, 0.0, 0.0])
+        recent.append(time, pose, np.ones(6), np.ones(6, dtype=bool))
+    for moment, ahead in ((0.5, 1.0), (1.5, 2.5), (9.0, 3.0), (-1.0, 0.0)):
+        assert recent.motion_during(moment) == pytest.approx([ahead, 0.0, 0.0])
 
 
 def test_a_place_is_recognised_and_the_pose_jumps_there(lap):
