@@ -212,7 +212,8 @@ def peers(
         noise=options.noise,
         robots=options.robots,
     )
-    return _end(summary, [*lines, "", f"peers: {summary.words}; {out}"])
+    runs = f"{summary.done} runs, {summary.before} of them before, {len(summary.failures)} failed"
+    return _end(summary, [*lines, "", f"peers: {runs}; {out}"])
 
 
 @app.command()

@@ -75,7 +75,8 @@ def say(*lines: str, err: bool = False) -> None:
     from limslam_env.messages import printable
 
     for line in lines:
-        typer.echo(printable(line), err=err)
+        # While a progress bar is shown, sys.stderr is what prints above it.
+        typer.echo(printable(line), file=sys.stderr if err else None)
 
 
 def warn(warnings: Iterable[str]) -> None:

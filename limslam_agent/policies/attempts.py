@@ -5,6 +5,8 @@ are finitely many gains. Between two gains each goal has one attempt, however of
 to other goals and back. An attempt goes on only while the way that is left becomes shorter than
 ever, and so it ends. Its goal and the cells beside it are no goals any more, and there are finitely
 many cells. So the robot comes to its end, whatever makes it change its goals.
+
+This holds in one frame of the map. A robot that is found again in another frame begins anew.
 """
 
 import math

@@ -76,9 +76,9 @@ def test_the_command_prints_a_table_and_goes_on(rooms, tmp_path):
     *table, _, summary = out.splitlines()
     assert table[-1].startswith("| frontier, 6 beams, 0 cm | easy | 1 | ")
     assert table[-1].endswith(" | 1 of 1 | 0 |")
-    assert summary.startswith("peers: 1 of 1 jobs done, 0 failed")
+    assert summary == f"peers: 1 runs, 0 of them before, 0 failed; {tmp_path / 'out'}"
     again = benchmarks(*arguments)[1]
-    assert "1 of them before" in again
+    assert "1 runs, 1 of them before" in again
     code, _, error = benchmarks("peers", "--data", rooms.parent, "--maps", "hard*")
     assert code == 2
     assert error.endswith("no maps there that are called hard* (.png)\n")

@@ -63,9 +63,9 @@ class Channel:
         return [line for _, _, line in arrived]
 
 
-def emulated(*, seed=0, robot=None, watchdog_ms=500, name="paper", imu=False):
+def emulated(*, seed=0, robot=None, watchdog_ms=500, name="paper", imu=False, world="env1"):
     noise = replace(NoiseConfig(), sensor_noise=NOISE)
-    body = Body(load_world("env1"), robot or RobotSpec(), noise, name, watchdog_ms, seed, imu)
+    body = Body(load_world(world), robot or RobotSpec(), noise, name, watchdog_ms, seed, imu)
     return Emulator(body)
 
 
@@ -118,12 +118,14 @@ def session_with(
     watch=lambda _: None,
     orders=None,
     listen=lambda: None,
+    prior_map=None,
 ):
     """A session with the robot at the end of a wire, after its hello."""
     link = Link(wire, wire.clock)
     hello = link.first_hello(30.0)
     recording = Recording(RobotSpec(), hello)
-    agent = LimSlamAgent(recording.robot, preset(name, NominalNoise(NOISE)), policy)
+    config = preset(name, NominalNoise(NOISE))
+    agent = LimSlamAgent(recording.robot, config, policy, prior_map=prior_map)
     return Session(link, hello, agent, recording, watch, orders, listen)
 
 

@@ -22,7 +22,6 @@ from limslam_env.geometry import FloatArray
 _MOST = 60  # windows over which odometry is judged, and poses of a path that are judged
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 _ASSUMED = 0.2  # windows by which the assumed variances of odometry count
-_EVIDENCE = 3.0  # standard deviations by which a constant error of odometry differs from none
 _LEAST_STD = 1e-5  # of a constant error of odometry
 
 
@@ -63,20 +62,22 @@ def with_learned_noise(
     return keys
 
 
-def with_learned_errors(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> KeyPoses:
+def with_learned_errors(
+    keys: KeyPoses, trajectory: Trajectory, graph: Graph, chance: float
+) -> KeyPoses:
     """The key poses with narrower priors of the constant errors of odometry.
 
-    An error has the prior variance by which its estimate exceeds what chance explains.
+    The prior variance of an error is the square of its estimate and ``chance`` times the variance
+    of the estimate.
     """
     columns = graph.nodes.columns("errors")[0]
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
     variances = np.diag(graph.solved(graph.factorise(), rows)[columns])
-    excess = trajectory.bias**2 - _EVIDENCE**2 * variances
     config = keys.config
-    stds = np.sqrt(np.clip(excess, _LEAST_STD**2, np.square(config.motion.stds)))
-    turn, scale, gain, delay, direction = stds.tolist()
-    motion = OdometryErrorConfig(turn, scale, gain, delay, direction)
+    learned = trajectory.bias**2 + chance * variances
+    stds = np.sqrt(np.clip(learned, _LEAST_STD**2, np.square(config.motion.stds)))
+    motion = OdometryErrorConfig(*stds.tolist())
     return replace(keys, config=replace(config, motion=motion))
 
 

@@ -59,6 +59,10 @@ _SYNCHRONOUS = 0.02
 # How often the noise of odometry is learned, as long as its variance falls below this share
 _LEARNED = 3
 _BETTER = 0.5
+# How many variances of their estimates count in the priors of the constant errors: in the smoothing
+# an estimate has to exceed three standard deviations
+_SHRUNK = -9.0
+_STATED = 1.0
 _CAUTION = 2.0  # of the variances of odometry alone, where they limit those of hops
 # Where visits contradict each other, hops as near as this, in lengths of chunks, have these further
 # standard deviations, m and rad
@@ -166,15 +170,18 @@ def _synchronised(
         delay = float(local.bias[3])
         if abs(delay) < _SYNCHRONOUS:
             break
+    has_points = len(keys) > 1 and len(keys.point_event) > 0
+    for _ in range(_LEARNED if has_points else 0):
+        exact = with_learned_noise(keys, local, cautious_graph)
+        if exact.step_variances[:, 2].sum() > _BETTER * keys.step_variances[:, 2].sum():
+            break
+        keys = exact
+        narrow = with_learned_errors(keys, local, cautious_graph(keys, local), _SHRUNK)
+        local = smooth_locally(narrow, odometry_trajectory(keys, np.zeros(3)))
     learned = keys
-    if len(keys) > 1 and len(keys.point_event):
-        for _ in range(_LEARNED):
-            before = keys.step_variances[:, 2].sum()
-            keys = with_learned_noise(keys, local, cautious_graph)
-            learned = with_learned_errors(keys, local, cautious_graph(keys, local))
-            local = smooth_locally(learned, odometry_trajectory(keys, np.zeros(3)))
-            if keys.step_variances[:, 2].sum() > _BETTER * before:
-                break
+    if has_points:
+        learned = with_learned_noise(keys, local, cautious_graph)
+        learned = with_learned_errors(learned, local, cautious_graph(learned, local), _STATED)
     return keys, local, known, learned
 
 

@@ -16,12 +16,13 @@ import pytest
 from support.command_line import limslam
 from support.live import Faults, Wire, emulated, session_with, start_emulator
 
-from limslam_agent import read_log, replay_log
+from limslam_agent import read_log, replay_log, save_map
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.orders import HOME, Goal, Orders
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, checksum, decode
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
 from limslam_agent.output.finished_run import read_run
+from limslam_agent.places.saved_map import read_saved_map
 from limslam_env.geometry import se2
 
 FIGURES = (
@@ -346,6 +347,28 @@ def test_what_follows_an_exploration_is_chosen(when, reason):
     assert (orders.is_paused, orders.destination == HOME) == (when == "pause", when == "home")
     if when == "pause":
         assert orders.answers == ["everything seen; the robot waits"]
+
+
+def test_home_in_the_map_of_an_earlier_session_is_where_the_robot_began(tmp_path):
+    first = session_with(Wire(emulated(world="env3", seed=1)))
+    start = np.array([1.0, 2.0, 0.5])
+    first.agent.reset(start)
+    first.drive(70.0, 5.0)
+    save_map(tmp_path / "first", first.agent.snapshot())
+    wire = Wire(emulated(world="env3", seed=2))
+
+    def watch(session):
+        if session.agent.mapper.prior_frame is not None and away_from_start() > 0.5:
+            session.orders.go_home()
+
+    def away_from_start():
+        return math.dist(wire.true[-1][1:3], wire.true[0][1:3])
+
+    session = session_with(wire, watch=watch, prior_map=read_saved_map(tmp_path / "first"))
+    reason = session.drive(120.0, 5.0)
+    assert reason == "asked to drive home; the robot is at its start"
+    np.testing.assert_allclose(session.agent.mapper.prior_frame, start, atol=0.2)
+    assert away_from_start() < 0.25
 
 
 def test_keys_pause_and_send_home_and_others_mean_nothing():

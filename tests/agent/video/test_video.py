@@ -195,7 +195,7 @@ def test_without_an_encoder_an_mp4_is_refused_with_what_to_install(tmp_path, mon
 
     monkeypatch.setattr(video.importlib, "import_module", missing)
     with (
-        pytest.raises(VideoError, match=r"pip install 'limslam\[video\]'"),
+        pytest.raises(VideoError, match=r'pip install "limslam\[video\]"'),
         video_file(tmp_path / "film.mp4", FPS, SIZE),
     ):
         pass
