@@ -18,11 +18,12 @@ Array = NDArray[Any]
 
 SPACING = 2  # cells between two nodes
 SIGHT = 12  # cells within which a node sees a frontier
+FEWEST = 3  # cells of frontiers that make a node worth a visit
 STEPS = ((0, SPACING), (SPACING, 0), (SPACING, SPACING), (SPACING, -SPACING))
 
 
 class NearestNode:
-    """Drive to the nearest node of a graph that was not visited and has a frontier in sight."""
+    """Drive to the nearest node of a graph that was not visited and sees frontiers."""
 
     def __init__(self) -> None:
         self._visited = set[tuple[int, ...]]()
@@ -30,7 +31,7 @@ class NearestNode:
     def target(self, grid: GridView, pose: Array) -> Array | None:
         """The place of that node (2,), m. None if there is none."""
         free = grid.values > 0
-        frontier = np.argwhere(free & ndimage.binary_dilation(grid.values == 0))
+        frontier = np.argwhere(free & ndimage.binary_dilation(grid.values == 0, border_value=1))
         corner = np.rint(grid.low[::-1] / grid.cell).astype(int)
         inside = np.argwhere(ndimage.binary_erosion(free, np.ones((3, 3), dtype=bool)))
         nodes = inside[((inside + corner) % SPACING == 0).all(axis=1)]
@@ -53,7 +54,7 @@ class NearestNode:
             cell = nodes[index]
             near = frontier[np.hypot(*(frontier - cell).T) <= SIGHT]
             is_new = tuple(cell + corner) not in self._visited
-            if is_new and any(sees(free, cell, each) for each in near):
+            if is_new and sum(sees(free, cell, each) for each in near) >= FEWEST:
                 place: Array = grid.centres(cell[None])[0]
                 return place
         return None

@@ -7,6 +7,7 @@ different lengths.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -198,28 +199,32 @@ def _wandering(route: FloatArray, generator: np.random.Generator) -> FloatArray:
     return np.array(points)
 
 
-def campus_world(seed: int) -> tuple[World, FloatArray]:
-    """The building of a seed, and the points (n, 2), m, of a drive through it."""
+def campus_world(seed: int, driven: tuple[float, float] = _DRIVEN) -> tuple[World, FloatArray]:
+    """The building of a seed, and the points (n, 2), m, of a drive through it, whose least and
+    largest length is ``driven``, m.
+    """
     generator = np.random.default_rng([seed, 4])
     plan = _plan(generator)
-    way = _wandering(_route(plan, generator.uniform(*_DRIVEN), generator), generator)
+    way = _wandering(_route(plan, generator.uniform(*driven), generator), generator)
     details = generator.uniform(*_DETAILS)
     rectangles = np.array(plan.rectangles)
     return cut_world(f"campus{seed}", rectangles, details, generator, way), way
 
 
-def campus_log(seed: int) -> MadeUpLog:
+def campus_log(
+    seed: int, driven: tuple[float, float] = _DRIVEN, kinds: Sequence[str] = tuple(ODOMETRY)
+) -> MadeUpLog:
     """The log of a seed, whose number decides how many beams are used of it: see
-    :func:`campus_beams`.
+    :func:`campus_beams`. Its odometry is one of ``kinds``.
     """
-    world, route = campus_world(seed)
+    world, route = campus_world(seed, driven)
     generator = np.random.default_rng([seed, 5])
     path = poses_along(np.array([*route[0], 0.0]), route[1:], ROBOT, Speeds(_SPEED, 1.0))
     step = generator.uniform(*_SPACING) / (_SPEED * ROBOT.control_period)
     rows = np.arange(0.0, len(path) - 1.0, step)
     truth = between(rows, np.arange(float(len(path))), path)
     time = ROBOT.control_period * rows
-    kind = str(generator.choice(list(ODOMETRY)))
+    kind = str(generator.choice(list(kinds)))
     odometry = drifting_odometry(truth, ODOMETRY[kind], generator)
     ranges = seen_ranges(world, time, truth, generator)
     return MadeUpLog(f"campus{seed}", kind, time, truth, odometry, ranges)

@@ -276,14 +276,15 @@ class ChunkGraph:
         shifts = np.minimum(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std)
         turns = np.minimum(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std)
         points = self.maps[newest].points
-        matches = []
+        matches = list[tuple[Match, int]]()
         for row in np.flatnonzero(near):
             window = Window(float(shifts[row]), float(turns[row]))
             first = int(old[row])
-            best = match(self._grid(first), points, guesses[row], window, SCORES[0])
-            matches.append((best, first))
-        matches.sort(key=lambda each: -each[0].score)
-        loops = [self._loop(first, newest, best) for best, first in matches[:_BEST]]
+            # A match that is worse than all that are kept is of no use.
+            least = matches[-1][0].score if len(matches) == _BEST else SCORES[0]
+            best = match(self._grid(first), points, guesses[row], window, max(least, SCORES[0]))
+            matches = sorted([*matches, (best, first)], key=lambda each: -each[0].score)[:_BEST]
+        loops = [self._loop(first, newest, best) for best, first in matches]
         return [loop for loop in loops if loop is not None]
 
     def _loop(self, first: int, second: int, best: Match) -> Loop | None:

@@ -18,10 +18,11 @@ from limslam_agent.logs.relations import read_relations, relation_errors, summar
 from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.smoothing import log_data
 from limslam_agent.slam.map_graph.chunk_graph import KEPT
-from limslam_agent.slam.map_graph.key_poses import LogData, delayed, integrate
+from limslam_agent.slam.map_graph.key_poses import LogData, choose_keys, delayed, integrate
 from limslam_agent.slam.map_graph.online import OnlineGraph
 from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.map_graph.stages import rounds
+from limslam_agent.slam.map_graph.stages import by_odometry, rounds
+from limslam_agent.slam.map_graph.window import RecentEvents
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise
 from limslam_env.geometry import se2
@@ -51,6 +52,18 @@ def test_biased_odometry_comes_out_right(two_laps):
     assert loop_errors(log.odometry, truth, LAP).mean() > 3.0
     assert loop_errors(result.poses, truth, LAP).mean() < 0.1
     assert np.hypot(*(result.poses - truth)[:, :2].T).mean() < 0.5
+
+
+def test_the_noise_of_odometry_is_learned_from_the_log(two_laps):
+    log, truth, noisy = two_laps
+    exact = smooth_log(replace(log, odometry=truth), truth[0], CONFIG)
+    assert np.hypot(*(exact.poses - truth)[:, :2].T).max() < 0.1
+    assumed = choose_keys(log, CONFIG).step_variances[:, 2].sum()
+    learned = [each.learned.step_variances[:, 2].sum() / assumed for each in (exact, noisy)]
+    assert learned[0] < 0.01 < learned[1] < 0.5
+    # What odometry alone states follows from it: the odometry of ``noisy`` misses turns.
+    stated = [np.trace(by_odometry(each, truth[0])[1]) for each in (exact, noisy)]
+    assert stated[0] < 0.01 * stated[1]
 
 
 def test_ranges_that_are_late_and_beams_that_are_turned_come_out_right(two_laps):
@@ -275,6 +288,15 @@ def test_a_pose_uses_no_later_event(lap):
     cut_covariances = cut_covariances[:CUT]
     np.testing.assert_array_equal(cut_poses, poses[:CUT])
     np.testing.assert_array_equal(cut_covariances, covariances[:CUT])
+
+
+def test_the_motion_of_the_last_moment_is_a_share_of_the_last_motions():
+    recent = RecentEvents()
+    for time, x in ((0.0, 0.0), (1.0, 1.0), (2.0, 3.0)):
+        pose = np.array([x, 0.0, 0.0])
+        recent.append(time, pose, np.ones(6), np.ones(6, dtype=bool))
+    for moment, ahead in ((0.5, 1.0), (1.5, 2.5), (9.0, 3.0), (-1.0, 0.0)):
+        assert recent.motion_during(moment) == pytest.approx([ahead, 0.0, 0.0])
 
 
 def test_a_place_is_recognised_and_the_pose_jumps_there(lap):
