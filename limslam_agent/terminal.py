@@ -25,9 +25,10 @@ def in_notebook() -> bool:
 
 @contextmanager
 def _notebook_bar(task: str, total: float) -> Iterator[Advance]:
-    from IPython.display import HTML, display
+    from IPython.display import display
 
-    bar = display(HTML(), display_id=True)
+    nothing = {"text/html": "", "text/plain": ""}
+    bar = display(nothing, raw=True, display_id=True)
     due = 0.0
 
     def show(done: float, state: str) -> None:
@@ -36,10 +37,11 @@ def _notebook_bar(task: str, total: float) -> Iterator[Advance]:
             return
         due = time.monotonic() + _NOTEBOOK_PERIOD
         words = escape(f"{task}: {state}")
-        bar.update(HTML(f"<progress max='{total:g}' value='{done:g}'></progress> {words}"))
+        html = f"<progress max='{total:g}' value='{done:g}'></progress> {words}"
+        bar.update({"text/html": html, "text/plain": words}, raw=True)
 
     yield show
-    bar.update(HTML())
+    bar.update(nothing, raw=True)
 
 
 @contextmanager

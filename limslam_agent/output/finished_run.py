@@ -37,7 +37,7 @@ class FolderError(ValueError):
         super().__init__(one_line(message))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FinishedRun:
     """The content of a folder."""
 
@@ -58,6 +58,9 @@ class FinishedRun:
     # Times of each log, s, where ``time`` is that of the first log only. Empty where all robots
     # have the same times.
     times: list[FloatArray] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        return f"<FinishedRun {str(self.folder)!r}: {self.title}>"
 
     def _repr_png_(self) -> bytes:
         """The picture that a notebook shows."""

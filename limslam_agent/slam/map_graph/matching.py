@@ -40,7 +40,7 @@ thousands of poses.
 """
 _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
 _FALL = 2.0  # the loss of log-likelihood at two standard deviations
-_UNKNOWN_STD = 10.0  # m, of a match along a direction in which nothing speaks against any shift
+_UNKNOWN_STD = 30.0  # m, of a match along a direction in which nothing speaks against any shift
 
 
 class SearchGrid(NamedTuple):
@@ -181,9 +181,15 @@ def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatAr
 def _variance_along(lost: FloatArray, cell: float) -> float:
     """Variance, m^2, from the log-likelihood that is lost by shifts (2 ``_FAR_CELLS`` + 1,) to both
     sides.
+
+    Along equal rooms, the likelihood falls and rises again. All matches there have the same rivals,
+    so together they tell no more than one of them.
     """
     falls = [int(np.argmax(side >= _FALL)) for side in (lost[_FAR_CELLS::-1], lost[_FAR_CELLS:])]
-    return (cell * max(falls)) ** 2 / (2.0 * _FALL) if all(falls) else _UNKNOWN_STD**2
+    rivals = np.abs(np.flatnonzero(lost < _FALL) - _FAR_CELLS)
+    if not all(falls) or rivals.max() > max(falls):
+        return _UNKNOWN_STD**2
+    return (cell * max(falls)) ** 2 / (2.0 * _FALL)
 
 
 @kernel

@@ -358,20 +358,30 @@ def test_nothing_is_found_where_nothing_fits():
     assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3), 0.0).score == NO_MATCH
 
 
-def corridor(*ends):
-    """A corridor of 8 m with end walls at these x, seen from its axis."""
+def corridor(*ends, posts=()):
+    """A corridor of 8 m with end walls and posts at one side at these x, seen from its axis."""
     along = np.linspace(-4.0, 4.0, 160)
     walls = [np.column_stack((along, np.full(160, y))) for y in (-1.0, 1.0)]
     return np.vstack(
-        (*walls, *[np.column_stack((np.full(40, x), np.linspace(-1.0, 1.0, 40))) for x in ends])
+        (
+            *walls,
+            *[np.column_stack((np.full(40, x), np.linspace(-1.0, 1.0, 40))) for x in ends],
+            *[np.column_stack((np.full(20, x), np.linspace(-1.0, -0.4, 20))) for x in posts],
+        )
     )
 
 
 @pytest.mark.parametrize(
-    ("ends", "std"), [((), (5.0, 20.0)), ((4.0,), (0.05, 0.3)), ((-4.0,), (0.05, 0.3))]
+    ("ends", "posts", "std"),
+    [
+        ((), (), (20.0, 40.0)),
+        ((4.0,), (), (0.05, 0.3)),
+        ((-4.0,), (), (0.05, 0.3)),
+        ((), (-3.0, -1.0, 1.0, 3.0), (20.0, 40.0)),
+    ],
 )
-def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, std):
-    places = corridor(*ends)
+def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, posts, std):
+    places = corridor(*ends, posts=posts)
     origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
     grid = draw_grid(places, origins, 4.5, MAPS)
     chunk = LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
