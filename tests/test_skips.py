@@ -45,3 +45,10 @@ def test_a_skip_that_is_not_listed_is_a_failure(tmp_path, listed, workers, statu
     assert finished.returncode == status, finished.stdout + finished.stderr
     assert REASON in finished.stdout
     assert (f"{ONE_OF_A_BROWSER}: {REASON}" in finished.stdout) == (status == 1)
+
+
+def test_the_list_of_long_tests_names_tests_that_exist():
+    for line in (FOLDER / "not_quick.txt").read_text(encoding="utf-8").splitlines():
+        file, _, name = line.partition("#")[0].strip().partition("::")
+        if file:
+            assert f"def {name}" in (FOLDER / file).read_text(encoding="utf-8"), line

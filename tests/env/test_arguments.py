@@ -417,7 +417,7 @@ def test_an_argument_of_a_wrong_type(make, arguments, words):
 @pytest.mark.parametrize("make", [MAKERS["single"], MAKERS["parallel"]], ids=["single", "parallel"])
 def test_a_window_without_pygame_names_the_extra(monkeypatch, make):
     monkeypatch.setattr("limslam_env.rendering.painter.find_spec", lambda _: None)
-    with pytest.raises(gym.error.DependencyNotInstalled, match=r"pip install 'limslam\[play\]'"):
+    with pytest.raises(gym.error.DependencyNotInstalled, match=r'pip install "limslam\[play\]"'):
         make(render_mode="human")
 
 
