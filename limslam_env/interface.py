@@ -372,8 +372,9 @@ class RobotSpec:
             If the text is not such a robot.
         """
         try:
-            return cls(**json.loads(text))
-        except (TypeError, json.JSONDecodeError, RecursionError) as error:
+            values = json.loads(text)
+            return cls(**{**values, "beams": values["beams"]})
+        except (TypeError, KeyError, json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"not a robot: {error}") from error
 
 

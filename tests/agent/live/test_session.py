@@ -600,7 +600,7 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
             ("--udp", 9, "--serial", "x"),
             "--serial and --udp are different places: the robot is at one of them only",
         ),
-        (("--udp", 0, "--policy", "tour"), "the policy 'tour' knows the truth"),
+        (("--udp", 0, "--policy", "tour"), "the policy 'tour' does not act on a belief"),
         (("--udp", 0, "--listen", "localhost"), "'localhost' is not an IPv4 address"),
         (("--udp", 0, "--token", "two words"), "the token 'two words' is not a name of 1 to 24"),
         (("--serial", "x", "--token", "word"), "--listen and --token are for --udp"),

@@ -128,7 +128,7 @@ def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
 
 
 def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
-    met = run_episode(two_robots(9302, 52.0))
+    met = run_episode(two_robots(9309, 52.0))
     assert not met.is_joined
     assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
     assert met.levels[:, 0].max() < LEVELS.index("lost")

@@ -291,7 +291,7 @@ class Ambiguous(TurnFromWalls):
             "tour",
             "LimSlam-Env1-v0",
             {},
-            "the policy 'tour' knows the truth: use limslam run --policy tour",
+            "the policy 'tour' does not act on a belief: use limslam run --policy tour",
         ),
         (
             WithoutAttributes(),

@@ -430,7 +430,7 @@ NOISE = 0.02
     [
         ("kidnapped", "env2", 1),
         ("reversed", "env3", 1),
-        ("swapped", "env1", 1),
+        ("swapped", "env1", 2),
         ("jump", "env2", 3),
     ],
 )

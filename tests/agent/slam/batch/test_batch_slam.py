@@ -346,10 +346,12 @@ def test_pictures_of_a_batch_show_the_beliefs() -> None:
     env = SlamVectorObservation(gym.make_vec("LimSlam-Env1-v0", **made), config_of(0.02))
     for each in (plain, env):
         each.reset(seed=0)
-        for _ in range(30):
+        for _ in range(100):  # until there are walls
             each.step(np.full((2, 2), 0.5, dtype=np.float32))
-    told = env.render()
-    for without, shown, overlay in zip(plain.render(), told, env.unwrapped.overlays, strict=True):
+    pictures = env.render()
+    for without, shown, overlay in zip(
+        plain.render(), pictures, env.unwrapped.overlays, strict=True
+    ):
         assert not np.array_equal(without, shown)
         assert len(overlay.segments)
 
