@@ -92,13 +92,14 @@ def rewrite_links(text: str, folder: Path) -> str:
             return f"]({PAGES_ELSEWHERE[outside]}{'#' * bool(anchor)}{anchor})"
         if path.is_relative_to(FOLDER) and path.suffix == ".md":
             return f"](/{path.relative_to(FOLDER).as_posix()}{'#' * bool(anchor)}{anchor})"
-        if path.is_relative_to(FOLDER) or (outside and path.is_file()):
+        is_page = path.suffix == ".md"
+        if path.is_relative_to(FOLDER) or (outside and path.is_file() and not is_page):
             # A file outside of the site, such as an example, becomes a download.
             return f"](/{Path(os.path.relpath(path, FOLDER)).as_posix()})"
         return f"]({OUTSIDE})"
 
     text = re.sub(r"\]\(([^)\s]+)\)", rewritten, text)
-    # Folders outside of the site are named and not linked.
+    # Folders and other pages outside of the site are named and not linked.
     return re.sub(rf"\[([^\[\]]*)\]\({OUTSIDE}\)", r"\1", text)
 
 

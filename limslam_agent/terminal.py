@@ -28,7 +28,8 @@ def _notebook_bar(task: str, total: float) -> Iterator[Advance]:
     from IPython.display import display
 
     nothing = {"text/html": "", "text/plain": ""}
-    bar = display(nothing, raw=True, display_id=True)
+    # Its types are not there in all environments.
+    bar = display(nothing, raw=True, display_id=True)  # type: ignore[no-untyped-call, unused-ignore]
     due = 0.0
 
     def show(done: float, state: str) -> None:
