@@ -86,7 +86,7 @@ def test_a_robot_in_another_process_explores_pauses_and_drives_home(processes, l
         *LIVE, "--out", folder, "--", "--ros-args", *RANGES, "-p", "use_sim_time:=true"
     )
     wait_for(lambda: len(listener.heard["pose"]) > 150, live)
-    assert is_driving(listener)
+    wait_for(lambda: is_driving(listener), live)
     resume = listener.publisher("std_msgs/msg/Bool", "explore/resume")
     home = listener.publisher("std_msgs/msg/Bool", "explore/return_home")
     from std_msgs.msg import Bool
