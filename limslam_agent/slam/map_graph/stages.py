@@ -83,8 +83,16 @@ class GraphResult:
     errors: FloatArray  # the estimated constant errors (5,) of odometry, as in :class:`Trajectory`
     loops: list[Loop]  # all loops that were found
     chunk_keys: IntArray  # the key poses (c,) in the middle of the chunks
-    # the key poses with the noise and the constant errors that odometry has by the ranges
-    learned: KeyPoses | None = field(default=None, repr=False)
+    # the trajectory without loops, by which the noise of odometry is learned
+    local: Trajectory | None = field(default=None, repr=False)
+
+    @property
+    def learned(self) -> KeyPoses:
+        """The key poses with the noise and the constant errors that odometry has by the ranges."""
+        if self.local is None or len(self.keys) < 2 or len(self.keys.point_event) == 0:
+            return self.keys
+        keys = with_learned_noise(self.keys, self.local, cautious_graph)
+        return with_learned_errors(keys, self.local, cautious_graph(keys, self.local), _STATED)
 
     @property
     def poses(self) -> FloatArray:
@@ -126,7 +134,7 @@ def rounds(
         Called at the start of each stage.
     """
     report("local smoothing")
-    keys, local, known, learned = _synchronised(data, config)
+    keys, local, known = _synchronised(data, config)
     trajectory = local
     has_points = len(keys.point_event) > 0
     has_loops = has_points and len(chunk_middles(keys, config.maps.hop)) > 1
@@ -142,17 +150,15 @@ def rounds(
         trajectory = found.trajectory
         placed = trajectory.moved(np.asarray(start, dtype=float))
         yield replace(
-            found, trajectory=placed, errors=joined_bias(known, found.errors), learned=learned
+            found, trajectory=placed, errors=joined_bias(known, found.errors), local=local
         )
         if not has_loops:
             return
 
 
-def _synchronised(
-    data: LogData, config: GraphConfig
-) -> tuple[KeyPoses, Trajectory, FloatArray, KeyPoses]:
-    """The log with its odometry at the times of the ranges, its local trajectory, what was
-    corrected (5,), and the log with the priors that it gives itself.
+def _synchronised(data: LogData, config: GraphConfig) -> tuple[KeyPoses, Trajectory, FloatArray]:
+    """The log with its odometry at the times of the ranges, its local trajectory, and what was
+    corrected (5,).
 
     The motions between key poses are linear in the delay for short delays only, so the delay is
     estimated repeatedly. Where odometry is better than is assumed, its noise is then learned, and
@@ -178,19 +184,15 @@ def _synchronised(
         keys = exact
         narrow = with_learned_errors(keys, local, cautious_graph(keys, local), _SHRUNK)
         local = smooth_locally(narrow, odometry_trajectory(keys, np.zeros(3)))
-    learned = keys
-    if has_points:
-        learned = with_learned_noise(keys, local, cautious_graph)
-        learned = with_learned_errors(learned, local, cautious_graph(learned, local), _STATED)
-    return keys, local, known, learned
+    return keys, local, known
 
 
 def by_odometry(found: GraphResult, start: FloatArray) -> tuple[GraphResult, FloatArray]:
     """The path of odometry alone of a log that was smoothed, and the covariance (2 k, 2 k) of its
     positions, by what the log says of its odometry.
     """
-    keys = found.learned or found.keys
-    path = odometry_trajectory(found.keys, np.asarray(start, dtype=float))
+    keys = found.learned
+    path = odometry_trajectory(keys, np.asarray(start, dtype=float))
     covariance = covariance_in(odometry_graph(keys, path), keys, path)
     return replace(found, kind="odometry", trajectory=path, errors=path.bias, loops=[]), covariance
 
