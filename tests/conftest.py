@@ -89,6 +89,15 @@ def _names(item: pytest.Item) -> tuple[str, str]:
     return file, f"{file}::{getattr(item, 'originalname', item.name)}"
 
 
+@pytest.fixture(scope="module")
+def chromium():
+    """A headless browser for the pages of one file of tests."""
+    from support.browser import browser
+
+    with browser() as opened:
+        yield opened
+
+
 @pytest.fixture
 def pygame(monkeypatch):
     """Pygame with a display that nobody sees."""

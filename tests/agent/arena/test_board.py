@@ -5,7 +5,7 @@ import re
 
 import pytest
 from support.arena import MANIFEST, made_entry, made_results
-from support.browser import browser, needs_chromium
+from support.browser import needs_chromium
 from support.command_line import limslam, told
 
 from limslam_agent.arena.leaderboard import board
@@ -119,12 +119,6 @@ def test_the_command_writes_the_page_and_a_table(folders, tmp_path):
     assert "1      Fast" in finished
     assert limslam(*words).returncode == 2
     told(*words, "--force")
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as found:
-        yield found
 
 
 @pytest.fixture

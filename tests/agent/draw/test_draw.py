@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from PIL import Image
-from support.browser import browser, needs_chromium
+from support.browser import needs_chromium
 from support.command_line import limslam, refused, told
 from support.data import SHIPPED_WORLDS
 
@@ -18,12 +18,6 @@ from limslam_env import World, load_world
 from limslam_env.worlds.formats.tables import world_table
 from limslam_env.worlds.regions import start_region
 from limslam_env.worlds.world import WorldError
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as found:
-        yield found
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from support.browser import browser, needs_chromium
+from support.browser import needs_chromium
 from support.inspection import data_in, inspected, unpacked
 
 from limslam_agent.video.belief_frame import hough_image
@@ -14,12 +14,6 @@ from limslam_agent.video.belief_frame import hough_image
 pytestmark = needs_chromium
 
 FRAME = "player.frame"
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as found:
-        yield found
 
 
 @pytest.fixture
