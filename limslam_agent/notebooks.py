@@ -40,8 +40,9 @@ def notebook_of(page: Path) -> dict[str, Any]:
     """The content of the notebook of a page, in Jupyter's format 4.5."""
     body = page.read_text(encoding="utf-8").split("---\n", 2)[2]
     cells = [("code", INSTALL)]
+    notebooks = {path.resolve() for path in notebook_pages()}
     for number, part in enumerate(_CELL.split(body)):
-        text = part.strip("\n") if number % 2 else _prose(part, page).strip()
+        text = part.strip("\n") if number % 2 else _prose(part, page, notebooks).strip()
         if text:
             cells.append(("code" if number % 2 else "markdown", text))
     return {
@@ -60,14 +61,14 @@ def _cell(kind: str, name: str, text: str) -> dict[str, Any]:
     return cell | ({"execution_count": None, "outputs": []} if kind == "code" else {})
 
 
-def _prose(text: str, page: Path) -> str:
+def _prose(text: str, page: Path, notebooks: set[Path]) -> str:
     """Text of a page as Jupyter shows it: without pictures, and with links to notebooks only."""
 
     def linked(link: re.Match[str]) -> str:
         target = link[2].partition("#")[0]
         if "://" in target:
             return link[0]
-        is_notebook = target and (page.parent / target).resolve() in notebook_pages()
+        is_notebook = target and (page.parent / target).resolve() in notebooks
         return f"[{link[1]}]({Path(target).stem}.ipynb)" if is_notebook else link[1]
 
     return _FORMULA.sub(r"$$\n\1$$", _LINK.sub(linked, _PICTURE.sub("", text)))

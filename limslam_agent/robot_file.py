@@ -59,21 +59,21 @@ def _robot_in(table: dict[str, Any], where: str) -> RobotSpec:
         raise SettingsError(
             f"{where}: {unknown}: there is no such setting; there are {', '.join(names)}"
         )
-    told = {name: table.pop(name) for name in alike if name in table}
+    beams_alike = {name: table.pop(name) for name in alike if name in table}
     robot = updated(RobotSpec(), table, where)
-    if not told:
+    if not beams_alike:
         return robot
-    kinds = [name for name in ("beams", *_BEAMS) if name in {**table, **told}]
+    kinds = [name for name in ("beams", *_BEAMS) if name in {**table, **beams_alike}]
     if len(kinds) != 1 or kinds == ["beams"]:
-        other = next((name for name in told if name not in kinds[:1]), "")
+        other = next((name for name in beams_alike if name not in kinds[:1]), "")
         wrong = (
             f"{kinds[0]} and {other} both describe the beams"
             if kinds
             else f"{other} goes with {' or '.join(_BEAMS)}"
         )
         raise SettingsError(f"{where}: {wrong}")
-    form = updated(_BeamsAlike(), told, where)
-    is_lidar = "lidar_beams" in told
+    form = updated(_BeamsAlike(), beams_alike, where)
+    is_lidar = "lidar_beams" in beams_alike
     try:
         beams = beams_on_rim(
             degrees_around(form.lidar_beams) if is_lidar else form.beams_deg,

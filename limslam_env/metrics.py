@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.consistency import BAND_95, KNOWN_START, nees
+from limslam_env.geometry.consistency import BAND_95, has_left_start, nees
 from limslam_env.geometry.se2 import between, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances, lengths, sample
 from limslam_env.worlds.regions import starting_cells
@@ -95,7 +95,7 @@ def consistency_metrics(
     mean :func:`nees` / 3, above 1 when overconfident; ``nees_in_95`` the share of steps in the
     two-sided 95 % chi-square band. Both are None if there are no such steps.
     """
-    counted = np.append(0.0, np.cumsum(_steps(true))) >= KNOWN_START
+    counted = has_left_start(true)
     if not counted.any():
         return {"anees": None, "nees_in_95": None}
     squared = nees(true[counted], estimated[counted], covariances[counted])

@@ -177,7 +177,7 @@ def _display(
 
     with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
         follower = None
-        told = list[str]()
+        events = list[str]()
         if options.watch:
             controls = Controls(wired.orders.obey, lambda: _shown(wired.orders))
             page = opened.enter_context(live_page(f"live, {wired.place}", controls=controls))
@@ -192,9 +192,9 @@ def _display(
             walls = f"{len(agent.slam.segments)} walls"
             lost = f"{session.recording.lost} lines lost"
             advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.state}  {lost}")
-            while len(told) < len(agent.mapper.places.events):
-                told.append(agent.mapper.places.events[len(told)].record["event"])
-                say(f"place       {told[-1]} after {seconds:.1f} s", err=True)
+            while len(events) < len(agent.mapper.places.events):
+                events.append(agent.mapper.places.events[len(events)].record["event"])
+                say(f"place       {events[-1]} after {seconds:.1f} s", err=True)
             if follower is not None:
                 follower.note(agent.mapper, [session.policy], seconds)
 

@@ -17,7 +17,7 @@ from limslam_agent.output.drawing import add_legend, finish_errors, legend, pain
 from limslam_agent.output.finished_run import FinishedRun
 from limslam_agent.output.map_picture import MapPicture
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.consistency import BAND_95, KNOWN_START, nees
+from limslam_env.geometry.consistency import BAND_95, has_left_start, nees
 from limslam_env.geometry.se2 import wrap_angle
 
 SIZE = (12.0, 6.8)
@@ -168,8 +168,7 @@ def _plot_nees(axes: Axes, run: FinishedRun, colours: Sequence[str], online: Lin
             zip(paths, run.true, stated, strict=False)
         ):
             ratio = nees(true, poses, covariances) / 3.0
-            driven = np.append(0.0, np.cumsum(np.hypot(*np.diff(true[:, :2], axis=0).T)))
-            ratio[driven < KNOWN_START] = np.nan
+            ratio[~has_left_start(true)] = np.nan
             time = run.elapsed(number)
             axes.plot(time, ratio, color=colours[number], linestyle=style, linewidth=1.0)
     low, high = (each / 3.0 for each in BAND_95)

@@ -60,7 +60,8 @@ class WayTo(MapExplorer):
         if self._way is None:
             self.stop_reason = f"the map shows no way to {self._words}"
             return np.zeros(2)
-        self.plan, self._until_plan = self._way, self._until_plan - 1
+        self.plan = self._way
+        self._until_plan -= 1
         step = follow(self.plan, belief, self.robot, self._config.speed)
         if step is None:
             self.stop_reason = f"the robot is at {self._words}"

@@ -75,9 +75,11 @@ class Sb3VecEnv(VecEnv):
         self._lengths += 1
         costs = found["cost"].tolist() if "cost" in found else ()
         infos = [{"cost": cost} for cost in costs] or [{} for _ in range(self.num_envs)]
-        last, final = found, observation
+        last = found
+        final = observation
         if ends.any() and self._begins_itself:
-            last, final = found["final_info"], found["final_obs"]
+            last = found["final_info"]
+            final = found["final_obs"]
         elif ends.any():
             observation, _ = self.env.reset(options={"reset_mask": ends})
         for number in np.flatnonzero(ends):

@@ -2,14 +2,29 @@
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
 BAND_95 = (0.21579528262389785, 9.348403604496145)
 """Quantiles 2.5 % and 97.5 % of the chi-square distribution with three degrees of freedom."""
 
-KNOWN_START = 0.5
-"""Travel from a known start that says nothing about consistency, m."""
+# Travel from a known start that says nothing about consistency, m
+_KNOWN_START = 0.5
+
+
+def has_left_start(true: FloatArray) -> BoolArray:
+    """At which of the true poses (n, 3) NEES counts (n,): before 0.5 m of travel, the known start
+    has P = 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from limslam_env.geometry.consistency import has_left_start
+    >>> has_left_start(np.array([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.6, 0.0, 0.0]])).tolist()
+    [False, False, True]
+    """
+    steps = np.hypot(*np.diff(true[:, :2], axis=0).T)
+    return np.append(0.0, np.cumsum(steps)) >= _KNOWN_START
 
 
 def nees(true: FloatArray, estimated: FloatArray, covariances: FloatArray) -> FloatArray:
