@@ -85,6 +85,14 @@ def compose_jacobians(first: FloatArray, second: FloatArray) -> tuple[FloatArray
     return by_first, by_second
 
 
+def moved_covariance(
+    pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray
+) -> FloatArray:
+    """Covariance (3, 3) of a pose (3,) after a motion (3,) with the covariance ``own`` (3, 3)."""
+    by_pose, by_motion = compose_jacobians(pose, motion)
+    return np.asarray(by_pose @ covariance @ by_pose.T + by_motion @ own @ by_motion.T)
+
+
 def transform_points(pose: FloatArray, points: FloatArray) -> FloatArray:
     """Take points (n, 2) from the frame of ``pose`` into the frame that ``pose`` is given in."""
     cos = math.cos(pose[2])

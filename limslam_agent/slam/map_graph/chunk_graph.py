@@ -57,7 +57,7 @@ _LEAST_TURN = math.radians(8.0)
 # rad.
 _SIGMAS = 2.5
 _MOST_DISTANCE = 12.0
-_MOST_SHIFT = 4.0
+MOST_SHIFT = 4.0
 _MOST_TURN = math.radians(90.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
@@ -273,12 +273,10 @@ class ChunkGraph:
         position_std, turn_std = self._stds_from(old)
         # Chunks within a hop show the same place, however well their poses are known.
         near = np.hypot(guesses[:, 0], guesses[:, 1]) <= self._config.hop + _SIGMAS * position_std
-        shifts = np.minimum(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std)
-        turns = np.minimum(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std)
         points = self.maps[newest].points
         matches = list[tuple[Match, int]]()
         for row in np.flatnonzero(near):
-            window = Window(float(shifts[row]), float(turns[row]))
+            window = search_window(position_std[row], turn_std[row])
             first = int(old[row])
             # A match that is worse than all that are kept is of no use.
             least = matches[-1][0].score if len(matches) == _BEST else SCORES[0]
@@ -314,7 +312,17 @@ class ChunkGraph:
 
     def _search_grid(self, number: int) -> SearchGrid:
         chunk = self.maps[number]
-        return search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
+        return search_grid(chunk.grid, chunk.cell, MOST_SHIFT)
+
+
+def search_window(position_std: float, turn_std: float) -> Window:
+    """The window in which a chunk is searched whose pose has these standard deviations, m and
+    rad.
+    """
+    return Window(
+        min(MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * float(position_std)),
+        min(_MOST_TURN, _LEAST_TURN + _SIGMAS * float(turn_std)),
+    )
 
 
 def _some_near(distance: FloatArray) -> IntArray:

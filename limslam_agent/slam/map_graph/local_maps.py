@@ -2,6 +2,7 @@
 chunks.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,33 @@ def draw_grid(
     """
     size = 2 * int(np.ceil((config.half + max_range) / config.cell))
     return _draw(places, origins, size, -0.5 * config.cell * size, config.cell, config.hit_radius)
+
+
+def joined_grid(maps: Sequence[LocalMap], poses: FloatArray) -> Cells:
+    """A grid (n, n) of several local maps at poses (k, 3): what most of them have seen."""
+    grids = np.array([each.grid for each in maps])
+    sums = _sums(grids, se2.inverse(poses), maps[0].cell)
+    return np.asarray(HIT * (sums > 0) - 3 * (sums < 0), dtype=np.int8)
+
+
+@kernel
+def _sums(grids: Cells, poses: FloatArray, cell: float) -> NDArray[np.int16]:
+    """Sums (n, n) of the cells of grids (k, n, n), in each of which the sums have a pose (k, 3)."""
+    size = grids.shape[1]
+    half = 0.5 * size
+    sums = np.zeros((size, size), np.int16)
+    for k in range(len(grids)):
+        cos = np.cos(poses[k, 2])
+        sin = np.sin(poses[k, 2])
+        for i in range(size):
+            for j in range(size):
+                x = i + 0.5 - half
+                y = j + 0.5 - half
+                a = int(np.floor(cos * x - sin * y + poses[k, 0] / cell + half))
+                b = int(np.floor(sin * x + cos * y + poses[k, 1] / cell + half))
+                if 0 <= a < size and 0 <= b < size:
+                    sums[i, j] += grids[k, a, b]
+    return sums
 
 
 @kernel

@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
-from limslam_agent.slam.map_graph.chunk_graph import ChunkGraph, inflated
+from limslam_agent.slam.map_graph.chunk_graph import ChunkGraph, Loop, inflated
+from limslam_agent.slam.map_graph.joined_map import loop_to_joined
 from limslam_agent.slam.map_graph.key_poses import (
     KEY_DISTANCE,
     KEY_TURN,
@@ -25,7 +26,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     calibrated,
     motion_variances,
 )
-from limslam_agent.slam.map_graph.local_maps import cut_chunks
+from limslam_agent.slam.map_graph.local_maps import LocalMap, cut_chunks
 from limslam_agent.slam.map_graph.reversing import LEAST_LENGTH, driven_backwards
 from limslam_agent.slam.map_graph.window import (
     LocalFrame,
@@ -34,7 +35,7 @@ from limslam_agent.slam.map_graph.window import (
     smooth_window,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
+from limslam_env.geometry.se2 import between, compose, inverse, moved_covariance
 
 _WINDOW = 6
 """Distance driven that is smoothed, in hops between chunks: 15 m, since the walls of the local
@@ -259,9 +260,38 @@ class OnlineGraph:
         """The last event of a window that completes no chunk. It counts as no better known than by
         odometry since the last anchor.
         """
-        driven = between(frame.poses[self._middles[-1] - frame.first], frame.poses[-1])
-        pose = compose(self._last_chunk, driven)
-        return replace(self._anchor, ridden=self._ridden_at(self._anchor.errors), pose=pose)
+        return replace(
+            self._anchor, ridden=self._ridden_at(self._anchor.errors), pose=self._end_of(frame)
+        )
+
+    def _end_of(self, frame: LocalFrame) -> FloatArray:
+        """Pose (3,) of the last event of a window in the world: by earlier visits, or else by the
+        last chunk.
+        """
+        last = frame.poses[-1]
+        back = self._recent.travel - 0.5 * self._config.maps.half
+        key = int(frame.keys.event_key[self._recent.at(back) - frame.first])
+        found = self._in_joined_map(frame, key)
+        if found is not None:
+            return compose(found[1], between(frame.trajectory.poses[key], last))
+        middle = frame.poses[self._middles[-1] - frame.first]
+        return compose(self._last_chunk, between(middle, last))
+
+    def _local_map(self, frame: LocalFrame, key: int) -> LocalMap:
+        """The local map around a key pose of the window."""
+        (drawn,) = cut_chunks(frame.keys, frame.trajectory, np.array([key]))
+        event = self._recent.first + int(frame.keys.first_event[key])
+        return replace(drawn, travel=self._recent.travel_at(event))
+
+    def _in_joined_map(self, frame: LocalFrame, key: int) -> tuple[Loop, FloatArray] | None:
+        """The loop from earlier visits to the local map around a key pose, and its pose (3,)."""
+        if self.places is None:
+            return None
+        last = int(frame.keys.event_key[self._middles[-1] - frame.first])
+        own = np.diag(frame.keys.step_variances[last:key].sum(axis=0))
+        motion = between(frame.trajectory.poses[last], frame.trajectory.poses[key])
+        visit = self._config.maps.another_visit
+        return loop_to_joined(self.places, self._local_map(frame, key), motion, own, visit)
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -306,7 +336,7 @@ class OnlineGraph:
         return Anchor(
             self._ridden_at(self.errors.mean),
             self._variances,
-            compose(pose, motion),
+            self._end_of(frame),
             moved_covariance(pose, covariance, motion, own),
             own,
             self.errors.mean,
@@ -317,8 +347,7 @@ class OnlineGraph:
         recent = self._recent
         config = self._config
         event = recent.first + int(frame.keys.first_event[key])
-        (chunk,) = cut_chunks(frame.keys, frame.trajectory, np.array([key]))
-        chunk = replace(chunk, travel=recent.travel_at(event))
+        chunk = self._local_map(frame, key)
         pose = frame.trajectory.poses[key]
         before = np.array(self._middles) - recent.first
         own = inflated(frame.covariances(np.array([frame.keys.event_key[before[-1]], key])))[0]
@@ -338,16 +367,13 @@ class OnlineGraph:
             self._middles = []
         else:
             self.places.add(chunk, motions, own)
-            self._chunk_std = self.places.position_std
         self._middles.append(event)
-
-
-def moved_covariance(
-    pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray
-) -> FloatArray:
-    """Covariance (3, 3) of a pose (3,) after a motion (3,) with the covariance ``own`` (3, 3)."""
-    by_pose, by_motion = compose_jacobians(pose, motion)
-    return np.asarray(by_pose @ covariance @ by_pose.T + by_motion @ own @ by_motion.T)
+        # Another visit may have seen less of this place from each of its chunks than from all.
+        if not any(each.second == len(self.places.maps) - 1 for each in self.places.loops):
+            found = self._in_joined_map(frame, key)
+            if found is not None:
+                self.places.close([found[0]])
+        self._chunk_std = self.places.position_std
 
 
 def _turned(covariance: FloatArray, apart: FloatArray) -> FloatArray:

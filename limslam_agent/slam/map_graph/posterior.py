@@ -118,17 +118,15 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
     ends = np.minimum(np.searchsorted(driven, driven[begins] + 2.0 * half), len(errors))
     begins = np.minimum(begins, ends - 1)
     columns = graph.nodes.columns_of(factors.keys)
-    sums = np.zeros((len(begins), 3, graph.nodes.size))
-    squares = np.zeros((len(begins), 3))
-    assumed = np.zeros((len(begins), 3))
+    ratios = np.zeros((len(begins), 3))
+    # One window at a time, since each needs dense columns of all unknowns.
     for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        squares[window] = errors[begin:end].sum(axis=0) ** 2
-        assumed[window] = keys.step_variances[begin:end].sum(axis=0)
+        rows = np.zeros((graph.nodes.size, 3))
         for part in range(3):
-            np.add.at(sums[window, part], columns[begin:end], factors.jacobian[begin:end, part])
-    rows = sums.reshape(-1, graph.nodes.size).T
-    posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0).reshape(-1, 3)
-    ratios = (squares + posterior) / assumed
+            np.add.at(rows[:, part], columns[begin:end], factors.jacobian[begin:end, part])
+        posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0)
+        squares = errors[begin:end].sum(axis=0) ** 2
+        ratios[window] = (squares + posterior) / keys.step_variances[begin:end].sum(axis=0)
     return np.asarray((ratios.sum(axis=0) + _ASSUMED) / (len(ratios) + _ASSUMED))
 
 

@@ -20,6 +20,7 @@ from limslam_agent.slam.map_graph.chunk_graph import (
     solve_annealed,
 )
 from limslam_agent.slam.map_graph.factors import odometry, point_link, point_on_wall
+from limslam_agent.slam.map_graph.joined_map import loop_to_joined
 from limslam_agent.slam.map_graph.key_poses import (
     ERRORS,
     LogData,
@@ -527,6 +528,33 @@ def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     assert graph.position_std == pytest.approx(np.sqrt(np.trace(aligned[-2:, -2:])))
     assert np.allclose(covariance, covariance.T, atol=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
+
+
+def test_a_local_map_fits_into_all_earlier_chunks_together():
+    generator = np.random.default_rng(6)
+    directions = generator.uniform(-np.pi, np.pi, 400)
+    rays = np.column_stack((np.cos(directions), np.sin(directions)))
+    room = rays * np.min(np.array([4.0, 3.4]) / np.abs(rays), axis=1)[:, None]
+    third = np.digitize(directions, [-1.0, 1.0])
+    seen = [replace(chunk_of(room[third == part]), travel=2.5 * part) for part in range(3)]
+    graph = ChunkGraph(seen[0], np.zeros(3), MAPS)
+    exact = np.diag(np.square([0.01, 0.01, 0.001]))
+    for chunk in seen[1:]:
+        graph.add(chunk, np.zeros((1, 3)), exact)
+    # Odometry has brought the robot back to a place that is 0.6 m off.
+    off = np.array([0.5, -0.3, 0.1])
+    graph.add(blank_map(10), off[None], np.diag(np.square([0.3, 0.3, 0.1])))
+    drawn = replace(chunk_of(room), travel=26.0)
+    for chunk in seen:
+        grid = search_grid(chunk.grid, MAPS.cell, 1.0)
+        assert match(grid, drawn.points, off, Window(1.0, 0.3), 0.0).score < 0.5
+    loop, pose = loop_to_joined(graph, drawn, np.zeros(3), exact, MAPS.another_visit)
+    assert (loop.first in range(3), loop.second, loop.score > 0.8) == (True, 3, True)
+    assert loop.relative == pytest.approx(np.zeros(3), abs=0.1)
+    # What was believed counts, too.
+    assert pose == pytest.approx(np.zeros(3), abs=0.2)
+    # What was seen a moment ago is no earlier visit.
+    assert loop_to_joined(graph, drawn, np.zeros(3), exact, 24.0) is None
 
 
 def test_alignment_removes_what_moves_and_turns_all_positions():
