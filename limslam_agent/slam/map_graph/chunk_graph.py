@@ -57,7 +57,7 @@ _LEAST_TURN = math.radians(8.0)
 # rad.
 _SIGMAS = 2.5
 _MOST_DISTANCE = 12.0
-MOST_SHIFT = 4.0
+_MOST_SHIFT = 4.0
 _MOST_TURN = math.radians(90.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
@@ -312,7 +312,7 @@ class ChunkGraph:
 
     def _search_grid(self, number: int) -> SearchGrid:
         chunk = self.maps[number]
-        return search_grid(chunk.grid, chunk.cell, MOST_SHIFT)
+        return search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
 
 
 def search_window(position_std: float, turn_std: float) -> Window:
@@ -320,7 +320,7 @@ def search_window(position_std: float, turn_std: float) -> Window:
     rad.
     """
     return Window(
-        min(MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * float(position_std)),
+        min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * float(position_std)),
         min(_MOST_TURN, _LEAST_TURN + _SIGMAS * float(turn_std)),
     )
 

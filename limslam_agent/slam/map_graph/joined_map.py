@@ -11,7 +11,6 @@ import numpy as np
 
 from limslam_agent.slam.graph.factors import relation
 from limslam_agent.slam.map_graph.chunk_graph import (
-    MOST_SHIFT,
     SCORES,
     ChunkGraph,
     Loop,
@@ -55,12 +54,13 @@ def loop_to_joined(
     around = old[_distances(places.poses[first], places.poses[old]) <= _WITHIN][:_MOST_JOINED]
     poses = se2.between(places.poses[first], places.poses[around])
     joined = joined_grid([places.maps[each] for each in around], poses)
-    grid = search_grid(joined, drawn.cell, MOST_SHIFT)
     before = relation(places.poses, np.array([[first, newest]]), np.zeros((1, 3)))
     guess = se2.compose(before.errors[0], motion)
     covariance = se2.moved_covariance(before.errors[0], places.covariances(before)[0], motion, own)
     position, turn = np.sqrt(np.maximum(np.diag(covariance)[1:], 0.0))
-    best = match(grid, drawn.points, guess, search_window(position, turn), SCORES[0])
+    window = search_window(position, turn)
+    grid = search_grid(joined, drawn.cell, window.shift)
+    best = match(grid, drawn.points, guess, window, SCORES[0])
     if best.score <= SCORES[0]:
         return None
     back = search_grid(drawn.grid, drawn.cell, 0.0), places.maps[first].points

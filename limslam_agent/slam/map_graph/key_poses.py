@@ -76,6 +76,21 @@ class LogData:
         return se2.between(self.odometry[:-1], self.odometry[1:])
 
     @cached_property
+    def has_times(self) -> bool:
+        """Whether the times tell apart the events between which the robot moved. Some logs give
+        many events the same time.
+        """
+        moved = (np.abs(np.diff(self.odometry, axis=0)) > STANDING).any(axis=1)
+        later = np.diff(self.time)[moved] > 0.0
+        return bool(later.mean() > _LEAST_NEW_TIMES) if len(later) else False
+
+    @cached_property
+    def shifted(self) -> tuple[FloatArray, FloatArray]:
+        """Odometry poses (n, 3) with ranges that are a little later, and a little earlier."""
+        later, earlier = (delayed(self, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
+        return later, earlier
+
+    @cached_property
     def points(self) -> FloatArray:
         """What the beams have met (n, b, 2), m, in the robot's frame."""
         rays = np.column_stack((np.cos(self.angles), np.sin(self.angles)))
@@ -282,25 +297,13 @@ def _motions(data: LogData, first: IntArray, second: IntArray) -> Motions:
     """The motions between events (k,)."""
     forward = np.cumsum(np.append(0.0, data.moves[:, 0]))
     by_delay = np.zeros((len(first), 3))
-    if _has_times(data):
-        later, earlier = (
-            se2.between(poses[first], poses[second])
-            for poses in (delayed(data, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
-        )
+    if data.has_times:
+        later, earlier = (se2.between(poses[first], poses[second]) for poses in data.shifted)
         by_delay = later - earlier
         by_delay[:, 2] = se2.wrap_angle(by_delay[:, 2])
         by_delay /= 2.0 * _DELAY_STEP
     reported = se2.between(data.odometry[first], data.odometry[second])
     return Motions(reported, forward[second] - forward[first], by_delay)
-
-
-def _has_times(data: LogData) -> bool:
-    """Whether the times tell apart the events between which the robot moved. Some logs give many
-    events the same time.
-    """
-    moved = (np.abs(np.diff(data.odometry, axis=0)) > STANDING).any(axis=1)
-    later = np.diff(data.time)[moved] > 0.0
-    return bool(later.mean() > _LEAST_NEW_TIMES) if len(later) else False
 
 
 def delayed(data: LogData, delay: float) -> LogData:
@@ -310,7 +313,7 @@ def delayed(data: LogData, delay: float) -> LogData:
     A log whose times do not tell its events apart stays as it is. Of several events with one time,
     each keeps its own pose, to which the motion during the delay is added.
     """
-    if not delay or not _has_times(data):
+    if not delay or not data.has_times:
         return data
     time = np.maximum.accumulate(data.time)
     odometry = data.odometry
