@@ -260,11 +260,10 @@ def _draw_grid(axes: Axes, grid: GridView) -> None:
         return
     low = grid.low
     high = grid.low + grid.cell * np.array(grid.values.shape[::-1])
+    # Bytes, since matplotlib makes colours of numbers as floats, which takes 60 MB more.
+    colours = _GRID(np.arange(3), bytes=True)
     axes.imshow(
-        np.sign(grid.values),
-        cmap=_GRID,
-        vmin=-1.0,
-        vmax=1.0,
+        colours[np.sign(grid.values) + 1],
         origin="lower",
         interpolation="nearest",
         zorder=0,

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 from PIL import Image as Pictures
 from support.runs import run
 
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
@@ -56,6 +57,21 @@ def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
     assert "path by odometry alone" in labels(
         MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=0.1)])
     )
+
+
+def test_the_grid_is_drawn_in_three_colours_as_bytes():
+    values = np.array([[-7, 0, 3]], dtype=np.int16)
+    picture = MapPicture.of(
+        "grid", NOTHING, {"est": [path(1.0)]}, grid=GridView(np.zeros(2), 0.05, values)
+    )
+    (image,) = painted(picture).images
+    colours = image.get_array()
+    assert colours.dtype == np.uint8
+    assert [f"{red:02x}{green:02x}{blue:02x}" for red, green, blue, _ in colours[0]] == [
+        "c9ced6",
+        "ffffff",
+        "eef2f6",
+    ]
 
 
 def test_a_legend_of_several_pictures_names_each_thing_once():
