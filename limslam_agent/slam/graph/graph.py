@@ -270,8 +270,8 @@ class Graph:
         """The matrix of the unknowns that are not fixed."""
         count = len(self._free)
         if self._sparsity is None:
-            places = (np.concatenate(self._rows), np.concatenate(self._columns))
-            self._sparsity = _places_of_sums(*places, count)
+            added = (np.concatenate(self._rows), np.concatenate(self._columns))
+            self._sparsity = _places_of_sums(*added, count)
         places, rows, firsts = self._sparsity
         sums = np.bincount(places, np.concatenate(self._values), len(rows) + 1)
         return csc_matrix((sums[1:], rows, firsts), shape=(count, count))
