@@ -234,8 +234,11 @@ def speed(
         bool,
         typer.Option("--processor-time", help="Count processor time, for a machine that is busy."),
     ] = False,
+    with_long: Annotated[
+        bool, typer.Option("--long", help="Also an hour of driving and a recorded building.")
+    ] = False,
 ) -> None:
-    """Measure the speed of environments, batches, beliefs and runs."""
+    """Measure the speed of environments, batches, beliefs, runs and starts."""
     import time
 
     from benchmarks.speed import print_device_rates, print_rates
@@ -243,7 +246,8 @@ def speed(
     if device == "cuda":
         print_device_rates()
     else:
-        print_rates(time.process_time if processor_time else time.perf_counter)
+        clock = time.process_time if processor_time else time.perf_counter
+        print_rates(clock, with_long=with_long)
 
 
 @app.command()

@@ -88,7 +88,7 @@ def peaks(counts: np.ndarray, wide: int, found: IntArray) -> IntArray:
     is_peak &= (votes > counts[found - wide]) & (votes >= counts[found + wide])
     # Most votes first; of equal votes, the first bin.
     keys = found[is_peak] - votes[is_peak].astype(np.float64) * 2.0**32
-    return found[is_peak][np.argsort(keys)[:MAX_CANDIDATES]]
+    return found[is_peak][np.argsort(keys, kind="mergesort")[:MAX_CANDIDATES]]
 
 
 @entry

@@ -144,7 +144,8 @@ def fit_segment(
         pose = (x[at], x[at + 1], x[at + 2])
         hit_x, hit_y = end_on_wall(pose, rows[i], (cos, sin), reaches[i])
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
-    ordered = np.sort(along[clear])
+    clear_along = along[clear]
+    ordered = clear_along[np.argsort(clear_along, kind="mergesort")]
     cosines = expected[:, 6].copy()
     return Fit(clear, along, ordered, left, cosines, factor, basis, theta, foot[0], foot[1])
 
@@ -161,7 +162,7 @@ def describe(fit: Fit, std: float, segment: FloatArray) -> None:
     for i in range(len(own)):
         spread += (own[i] - middle) * (own[i] - middle)
     # The length leaves out the outermost reading at either end.
-    ends = np.sort(fit.along)
+    ends = fit.along[np.argsort(fit.along, kind="mergesort")]
     segment[THETA] = fit.theta
     segment[MIDDLE_X] = fit.foot_x
     segment[MIDDLE_Y] = fit.foot_y

@@ -1,9 +1,13 @@
 """Rates of candidates that take turns, and how many times faster than its robot an agent is."""
 
+import sys
+
 import numpy as np
 import pytest
 
 from benchmarks import speed
+from benchmarks.scoreboard import measure
+from benchmarks.suite.jobs import Outcome
 
 
 class Machine:
@@ -48,3 +52,28 @@ def test_a_run_is_timed_by_its_simulated_time():
     assert speed.times_faster(
         "square", 1, lambda: float(next(ticks)), max_time=2.0
     ) == pytest.approx(4.0)
+
+
+def test_long_rows_say_what_they_cost_or_what_is_missing(monkeypatch):
+    def cost_of(rows, job):
+        if rows[job.policy].needs_data:
+            raise ValueError("recorded data not found")
+        return Outcome({}, {"drive_cpu_s": 60.2, "smoothing_cpu_s": 7.7}, "")
+
+    monkeypatch.setattr(measure, "measure", cost_of)
+    building, hour = speed.long_figures()
+    assert building[1] == "not measured: recorded data not found"
+    assert hour == ("an hour, drive + smoothing", "60 + 8", "s of processor time")
+
+
+def test_without_a_gpu_its_row_says_so(monkeypatch):
+    def refuse(_):
+        raise RuntimeError("no GPU")
+
+    monkeypatch.setattr(speed, "_device_rates", refuse)
+    assert speed.device_figure()[1] == "not measured"
+
+
+def test_a_timed_process_gets_variables():
+    command = [sys.executable, "-c", "import os; os.environ['LIMSLAM_TIMED']"]
+    assert speed.spent_by(command, LIMSLAM_TIMED="yes") > 0.0
