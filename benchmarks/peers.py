@@ -5,7 +5,6 @@ pixels, and until the explorer ends. Without noise the poses are known, as in th
 the default estimator estimates them.
 """
 
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -104,7 +103,7 @@ def maps_in(data: Path, patterns: Sequence[str]) -> list[Path]:
     Raises
     ------
     ValueError
-        If there are none.
+        If there are none, or if one of them cannot be read or does not say where robots start.
     """
     found = [
         path
@@ -113,7 +112,22 @@ def maps_in(data: Path, patterns: Sequence[str]) -> list[Path]:
     ]
     if not found:
         raise ValueError(f"{data}: no maps there that are called {' or '.join(patterns)} (.png)")
+    for path in found:
+        if not len(_world(path).starts):
+            raise ValueError(
+                f"{path}: a map of ARiADNE or DARE has walls (level 127), floor (195) and a block "
+                "where robots start (208, or yellow)"
+            )
     return found
+
+
+def _pixel(path: Path) -> float:
+    """Side of a pixel of a map, m."""
+    return PIXEL.get(path.resolve().parent.name, PIXEL["dungeon"])
+
+
+def _world(path: Path) -> World:
+    return load_world(path, metres_per_pixel=_pixel(path))
 
 
 def run_peers(
@@ -230,8 +244,7 @@ def measure(entrants: Mapping[str, Entrant], job: Job) -> Outcome:
     robot = entrant.robot
     config = preset(job.preset, NominalNoise(job.noise))
     path = Path(job.world)
-    pixel = PIXEL.get(path.parent.name, PIXEL["dungeon"])
-    world = load_world(path, metres_per_pixel=pixel)
+    world = _world(path)
     env = LimSlamParallelEnv(
         world,
         num_robots=job.robots,
@@ -241,7 +254,7 @@ def measure(entrants: Mapping[str, Entrant], job: Job) -> Outcome:
         max_cycles=None,
     )
     levels = read_picture(path).levels
-    sweep = Sweep(levels != levels.min(), pixel, world, robot)
+    sweep = Sweep(levels != levels.min(), _pixel(path), world, robot)
     policies = policies_by_belief(
         entrant.policy, robot, config, robots=job.robots, seed=job.seed
     ) or [explorer(robot, config) for _ in range(job.robots)]
@@ -364,9 +377,10 @@ def _columns(rows: Sequence[Row]) -> list[str]:
     """The figures of a group."""
     distances = ("pixels_95_px", "pixels_99_px", "end_px", "cells_95_px", "cells_99_px")
     ended = [row for row in rows if row.metrics.get("end_px") is not None]
+    seen = min(_numbers(rows, "seen"), default=None)
     return [
         *(_mean(rows, name) for name in distances),
-        f"{min(_numbers(rows, 'seen'), default=math.nan):.1%}",
+        MISSING if seen is None else f"{seen:.1%}",
         f"{len(ended)} of {len(rows)}",
         f"{sum(_numbers(rows, 'touches')):g}",
     ]

@@ -125,7 +125,7 @@ def import_maps(
     from limslam_env.worlds.formats.loading import load_world, write_world
     from limslam_env.worlds.formats.pictures import SUFFIXES
 
-    pictures = sorted(path for path in folder.glob("*") if path.suffix.lower() in SUFFIXES)
+    pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
     if not pictures:
         raise ValueError(f"{folder}: no pictures there ({', '.join(SUFFIXES)})")
     places = [load_world(path, metres_per_pixel=metres_per_pixel) for path in pictures]

@@ -27,18 +27,21 @@ _NEW_CELLS = 2
 
 @dataclass
 class Attempt:
-    """The attempt to reach a goal (2,), m: how near the robot has come, and whether it drives to
-    the goal itself, as it saw nothing from a distance.
+    """The attempt to reach a goal (2,), m: how near the robot has come, whether it drives to the
+    goal itself, as it saw nothing from a distance, and whether the attempt has ended.
     """
 
     goal: FloatArray
     progress: Progress = field(default_factory=Progress)
     goes_near: bool = False
+    has_ended: bool = False
 
     @property
     def is_over(self) -> bool:
-        """Whether the goal is given up. The map may change the way, and turning takes time."""
-        return self.progress.idle > 3 * PATIENCE
+        """Whether the attempt has ended, or the goal is given up. The map may change the way, and
+        turning takes time.
+        """
+        return self.has_ended or self.progress.idle > 3 * PATIENCE
 
 
 class Attempts:
@@ -57,10 +60,12 @@ class Attempts:
             self._attempts.clear()
         return has_grown
 
-    def of(self, goal: FloatArray) -> Attempt:
-        """The attempt to reach a goal (2,), m, which may have begun before."""
+    def of(self, goal: FloatArray, same: float = SAME_GOAL) -> Attempt:
+        """The attempt to reach a goal (2,), m, which may have begun before. Goals that are less
+        than ``same``, m, apart are one.
+        """
         for attempt in self._attempts:
-            if math.dist(attempt.goal, goal) < SAME_GOAL:
+            if math.dist(attempt.goal, goal) < same:
                 return attempt
         self._attempts.append(Attempt(goal))
         return self._attempts[-1]

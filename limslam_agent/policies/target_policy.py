@@ -8,7 +8,7 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.attempts import SAME_GOAL, Attempts
+from limslam_agent.policies.attempts import SAME_GOAL, Attempt, Attempts
 from limslam_agent.policies.controller import follow
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
 from limslam_agent.policies.targets import ways_from
@@ -76,8 +76,6 @@ class TargetPolicy(MapExplorer):
 
     def _plan_anew(self) -> None:
         self._attempts = Attempts()
-        # Targets (2,), m, that were tried since the map has grown.
-        self._tried = list[FloatArray]()
         self._drop()
 
     def _drop(self) -> None:
@@ -89,25 +87,22 @@ class TargetPolicy(MapExplorer):
 
     def _wheels(self, belief: Belief) -> FloatArray:
         has_grown = self._attempts.note(belief.grid)
+        self._is_new = self._is_new or has_grown
         self._until_choice -= 1
-        if has_grown:
-            self._tried.clear()
-            self._is_new = True
         if self.goal is None or (self._is_new and self._until_choice <= 0):
             self._choose(belief)
         if self.goal is None:
             return np.zeros(2)
-        attempt = self._attempts.of(self.goal)
+        attempt = self._attempts.of(self.goal, 0.5 * belief.grid.cell)
         step = follow(self.plan, belief, self.robot, self._config.speed)
         action, left = step or (np.zeros(2), 0.0)
         attempt.progress.count(left, is_new=has_grown)
         if step is None or attempt.is_over:
-            self._attempts.end(attempt)
-            self._try(self.goal)
+            self._end(attempt)
         return action
 
-    def _try(self, goal: FloatArray) -> None:
-        self._tried.append(goal)
+    def _end(self, attempt: Attempt) -> None:
+        attempt.has_ended = True
         self._drop()
 
     def _choose(self, belief: Belief) -> None:
@@ -120,7 +115,8 @@ class TargetPolicy(MapExplorer):
             self.stop_reason = "the planner has no target left"
             return
         goal = _checked(answer, self._planner)
-        if any(math.dist(goal, tried) < belief.grid.cell for tried in self._tried):
+        attempt = self._attempts.of(goal, 0.5 * belief.grid.cell)
+        if attempt.is_over:
             self._drop()
             self.stop_reason = (
                 f"the planner has chosen ({goal[0]:.2f}, {goal[1]:.2f}) again, where nothing new "
@@ -131,7 +127,7 @@ class TargetPolicy(MapExplorer):
         reachable = np.argwhere(np.isfinite(ways.cost))
         away = np.hypot(*(belief.grid.centres(reachable) - goal).T)
         if away.min(initial=math.inf) > SAME_GOAL:
-            self._try(goal)
+            self._end(attempt)
             return
         row, column = reachable[int(away.argmin())].tolist()
         self.goal = goal

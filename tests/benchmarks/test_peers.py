@@ -84,6 +84,34 @@ def test_the_command_prints_a_table_and_goes_on(rooms, tmp_path):
     assert error.endswith("no maps there that are called hard* (.png)\n")
 
 
+@pytest.mark.parametrize(
+    ("levels", "reason"),
+    [
+        ((127, 195), "a map of ARiADNE or DARE has walls (level 127), floor (195) and a block "),
+        ((10, 60, 195, 250), "a map of ARiADNE or DARE has walls (level 127), floor (195) and a "),
+        ((195,), "no cell is occupied"),
+        ((), "cannot be read: it is no PNG file"),
+    ],
+)
+def test_a_picture_that_is_no_such_map_is_refused_before_the_start(tmp_path, levels, reason):
+    path = tmp_path / "easy-img_1.png"
+    path.write_text("A text.")
+    if levels:
+        Image.fromarray(np.resize(np.array(levels, np.uint8), (3, 200)).repeat(60, 0)).save(path)
+    code, out, error = benchmarks("peers", "--data", tmp_path, "--out", tmp_path / "out")
+    assert (code, out) == (2, "")
+    assert error.startswith(f"benchmarks: {path}: {reason}")
+    assert error.count("\n") == 1
+
+
+def test_the_folder_says_how_large_the_pixels_are(rooms, monkeypatch):
+    folder = rooms.parent.parent / "dare"
+    folder.mkdir()
+    (folder / rooms.name).write_bytes(rooms.read_bytes())
+    monkeypatch.chdir(folder)
+    assert run(rooms.name, 6, max_time=0.1)["coverage"] < run(rooms, 6, max_time=0.1)["coverage"]
+
+
 MAPS = ("dungeon/complex-img_4", "dungeon/easy-img_9", "dare/7")
 
 

@@ -162,14 +162,20 @@ class Graph:
             return weights
         order = np.lexsort([numbers for _, numbers in reversed(factors.keys)])
         numbers = np.column_stack([numbers for _, numbers in factors.keys])[order]
-        firsts = np.flatnonzero((np.diff(numbers, axis=0, prepend=-1) != 0).any(axis=1))
-        jacobian = factors.jacobian[order]
-        weighted = weights[order, None, None] * factors.weighted_jacobian[order]
-        self.add_sums(
-            self.nodes.columns_of(factors.keys)[order[firsts]],
-            np.add.reduceat(np.einsum("fdi,fdj->fij", weighted, jacobian), firsts),
-            np.add.reduceat(np.einsum("fdq,fd->fq", weighted, factors.errors[order]), firsts),
+        is_first = (np.diff(numbers, axis=0, prepend=-1) != 0).any(axis=1)
+        columns = self.nodes.columns_of(factors.keys)[order[is_first]]
+        gradient = np.zeros(columns.shape)
+        hessian = np.zeros((*columns.shape, columns.shape[1]))
+        _add_products(
+            order,
+            np.cumsum(is_first) - 1,
+            weights[:, None, None] * factors.weighted_jacobian,
+            factors.jacobian,
+            factors.errors,
+            hessian,
+            gradient,
         )
+        self.add_sums(columns, hessian, gradient)
         return weights
 
     def add_sums(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
@@ -270,8 +276,8 @@ class Graph:
         """The matrix of the unknowns that are not fixed."""
         count = len(self._free)
         if self._sparsity is None:
-            places = (np.concatenate(self._rows), np.concatenate(self._columns))
-            self._sparsity = _places_of_sums(*places, count)
+            added = (np.concatenate(self._rows), np.concatenate(self._columns))
+            self._sparsity = _places_of_sums(*added, count)
         places, rows, firsts = self._sparsity
         sums = np.bincount(places, np.concatenate(self._values), len(rows) + 1)
         return csc_matrix((sums[1:], rows, firsts), shape=(count, count))
@@ -288,6 +294,30 @@ def _factorised(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) 
         )
     except RuntimeError as error:
         raise DegenerateError("the factors do not determine the unknowns") from error
+
+
+@kernel
+def _add_products(
+    order: IntArray,
+    sums: IntArray,
+    weighted: FloatArray,
+    jacobian: FloatArray,
+    errors: FloatArray,
+    hessian: FloatArray,
+    gradient: FloatArray,
+) -> None:
+    """Add J^T W J to sums (s, q, q), and J^T W e to sums (s, q), for factors (f,) in an order, each
+    with its sum, with W J (f, d, q), J (f, d, q) and e (f, d).
+    """
+    for number in range(len(order)):
+        factor = order[number]
+        place = sums[number]
+        for row in range(errors.shape[1]):
+            for i in range(gradient.shape[1]):
+                by = weighted[factor, row, i]
+                gradient[place, i] += by * errors[factor, row]
+                for j in range(gradient.shape[1]):
+                    hessian[place, i, j] += by * jacobian[factor, row, j]
 
 
 @kernel

@@ -26,11 +26,19 @@ from limslam_agent.slam.line_graph.merging import (
 )
 from limslam_agent.slam.line_graph.new_lines import faces
 from limslam_agent.slam.line_graph.problem import Problem, State, expected
-from limslam_agent.slam.line_graph.solution import Solution, not_grazing, residuals, solve
+from limslam_agent.slam.line_graph.solution import (
+    CONVERGED,
+    Solution,
+    not_grazing,
+    residuals,
+    solve,
+)
 from limslam_env.geometry import FloatArray, IntArray
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
+# m or rad: the last step of the solutions in between, after which associations hardly change
+_NEARLY = 1e-2
 _GATE = (
     3.5  # standard deviations, within which a line explains a reading: 0.9995 of its own readings
 )
@@ -117,9 +125,9 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
         faces(problem, association.state, unexplained), len(association.state.lines)
     ):
         labels[face] = number
-    if np.array_equal(labels, association.labels):
-        return association
-    return settled(with_new_lines(association, labels))
+    if not np.array_equal(labels, association.labels):
+        association = settled(with_new_lines(association, labels))
+    return relabelled(association, association.labels)
 
 
 def settled(association: Association) -> Association:
@@ -134,7 +142,8 @@ def settled(association: Association) -> Association:
             low = seen[..., 0].min(axis=1)
             high = seen[..., 1].max(axis=1)
             seen = np.tile(np.stack((low, high), axis=-1)[:, None], (1, 2, 1))
-        association = straightened(relabelled(merged, assigned(merged, seen)[0]))
+        labels, _ = assigned(merged, seen)
+        association = straightened(relabelled(merged, labels, last=_NEARLY))
         if np.abs(association.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return association
@@ -152,7 +161,10 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
 
 
 def relabelled(
-    association: Association, labels: IntArray, state: State | None = None
+    association: Association,
+    labels: IntArray,
+    state: State | None = None,
+    last: float = CONVERGED,
 ) -> Association:
     """The optimum for other associations with the lines of a state; lines with too few readings are
     removed.
@@ -164,13 +176,17 @@ def relabelled(
     """
     labels, kept = renumbered(labels)
     state = (state or association.state).select(kept)
-    return Association(association.problem, solve(association.problem, state, labels), labels)
+    solution = solve(association.problem, state, labels, last)
+    return Association(association.problem, solution, labels)
 
 
 def with_new_lines(association: Association, labels: IntArray) -> Association:
     """The optimum for associations with further lines, numbered after those of a solution."""
     return relabelled(
-        association, labels, with_lines(association.problem, association.state, labels)
+        association,
+        labels,
+        with_lines(association.problem, association.state, labels),
+        last=_NEARLY,
     )
 
 
@@ -301,5 +317,6 @@ def merge(association: Association) -> tuple[Association, bool, tuple[float, flo
         association = relabelled(
             association,
             np.where(association.labels >= 0, lines.merged_into[association.labels], -1),
+            last=_NEARLY,
         )
         has_merged = True

@@ -23,7 +23,9 @@ _MOST_ITERATIONS = 6  # of a solution; those that have not converged then have w
 # of a step; iterations after which the set of grazing readings is fixed
 _MOST_HALVINGS = 6
 _CHOOSING = 2
-_CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
+CONVERGED = 1e-3
+"""The last step of a solution, m or rad. What remains is of the order of its square."""
+
 _BLOCK = 150  # poses of a block, about
 
 
@@ -75,10 +77,11 @@ class Solution:
         return self.graph.marginals("poses").reshape(*self.state.poses.shape, 3)
 
 
-def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
+def solve(problem: Problem, state: State, labels: IntArray, last: float = CONVERGED) -> Solution:
     """The optimum near a state by the Gauss-Newton method, for readings with known lines.
 
-    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used.
+    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used. No step
+    follows one that is smaller than ``last``, m or rad.
 
     Raises
     ------
@@ -106,7 +109,7 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
             raise DegenerateError("the readings do not determine the poses")
         begin = (state, factors)
         state, factors, change = _descended(problem, begin, labels, weights, nodes, step)
-        if change < _CONVERGED:
+        if change < last:
             break
     return Solution(state, weights, kept, graph, solver)
 
@@ -217,7 +220,7 @@ def _descended(
     for _ in range(_MOST_HALVINGS):
         new = state.moved(share * motions, share * lines, share * calibration)
         factors = _factors(problem, new, labels, weights)
-        if share * largest < _CONVERGED or _chi_square(factors) <= most:
+        if share * largest < CONVERGED or _chi_square(factors) <= most:
             break
         share *= 0.5
     return new, factors, share * largest

@@ -53,6 +53,12 @@ def test_a_planner_that_chooses_the_same_target_for_ever_comes_to_its_end():
     )
 
 
+def test_the_cell_beside_a_target_is_another_target():
+    policy = TargetPolicy(Fixed(np.array([1.95, 0.45]), np.array([2.05, 0.45]), None), ROBOT)
+    driven(policy, HALL)
+    assert policy.stop_reason == "the planner has no target left"
+
+
 def test_a_planner_that_changes_its_mind_for_ever_comes_to_its_end():
     ends = [np.array([3.85, 0.45]), np.array([0.25, 0.45])]
     policy = TargetPolicy(Fixed(*ends * 50), ROBOT)

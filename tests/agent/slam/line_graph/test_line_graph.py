@@ -117,6 +117,17 @@ def test_derivatives_by_bias_and_scale_are_differences():
     assert (ends[0] - ends[1]) / 2e-6 == pytest.approx(found.by_pose[:, 0], abs=1e-6)
 
 
+def test_a_solution_ends_with_a_small_step():
+    problem, poses = noisy_run(4)
+    labels = true_labels(problem, poses)
+    begin = solve_labels(problem, state_from_motions(problem), labels).state
+    begin = begin.moved(1e-3 * np.ones_like(begin.motions), 0.0, 0.0)
+    coarse, fine, best = (
+        solve(problem, begin, labels, last).state.poses for last in (0.1, 1e-3, 1e-9)
+    )
+    assert np.abs(fine - best).max() < 1e-5 < np.abs(coarse - best).max() < 0.02
+
+
 def test_covariances_are_those_of_a_dense_solution():
     problem, poses = noisy_run(4)
     first = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))

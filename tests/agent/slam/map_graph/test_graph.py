@@ -9,7 +9,7 @@ import pytest
 from support.corridors import corridor_log
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig, WallLineConfig
-from limslam_agent.slam.graph.factors import geman_mcclure, relation
+from limslam_agent.slam.graph.factors import geman_mcclure, prior, relation
 from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
 from limslam_agent.slam.map_graph import matching
 from limslam_agent.slam.map_graph.agreement import VisitCounts, supported
@@ -223,6 +223,10 @@ def test_robust_factors_are_summed_with_their_weights():
     plain = Graph(graph.nodes)
     plain.add(Factors(keys, errors, jacobian, weights[:, None, None]))
     assert np.allclose(graph.gradient, plain.gradient)
+    for each in (graph, plain):
+        each.add(prior("poses", np.zeros((2, 3)), np.eye(3)))
+        each.add(prior("lines", np.zeros((3, 2)), np.eye(2)))
+    assert np.allclose(graph.solve(), plain.solve())
 
 
 def test_the_sparse_step_equals_a_dense_one():
