@@ -27,10 +27,19 @@ def odometry(keys: KeyPoses, trajectory: Trajectory) -> Factors:
     steps = keys.steps.calibrated(trajectory.bias)
     by_poses = relation(trajectory.poses, np.column_stack((first, first + 1)), steps)
     by_errors = -keys.steps.by_errors(trajectory.bias)
+    errors = by_poses.errors
+    jacobian = np.concatenate((by_poses.jacobian, by_errors), axis=2)
+    # The gain multiplies the true turn, not the reported one, which has noise: on straight drives
+    # that noise is all that is reported, and the gain would be estimated as too small.
+    whole = 1.0 + trajectory.bias[2]
+    turns = errors[:, 2] + steps[:, 2]
+    jacobian[:, 2, 8] = -turns / whole
+    errors[:, 2] /= whole
+    jacobian[:, 2] /= whole
     return Factors(
         (*by_poses.keys, ("errors", np.zeros_like(first))),
-        by_poses.errors,
-        np.concatenate((by_poses.jacobian, by_errors), axis=2),
+        errors,
+        jacobian,
         (1.0 / keys.step_variances)[:, :, None] * np.eye(3),
     )
 
