@@ -374,10 +374,10 @@ def corridor(*ends, posts=()):
 @pytest.mark.parametrize(
     ("ends", "posts", "std"),
     [
-        ((), (), (20.0, 40.0)),
+        ((), (), (500.0, 2000.0)),
         ((4.0,), (), (0.05, 0.3)),
         ((-4.0,), (), (0.05, 0.3)),
-        ((), (-3.0, -1.0, 1.0, 3.0), (20.0, 40.0)),
+        ((), (-3.0, -1.0, 1.0, 3.0), (500.0, 2000.0)),
     ],
 )
 def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, posts, std):
