@@ -28,6 +28,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     corrected,
     delayed,
     event_poses,
+    integrate,
     joined_bias,
     odometry_trajectory,
 )
@@ -164,6 +165,27 @@ def test_odometry_jacobian_by_poses_and_constant_errors():
     assert np.allclose(jacobian[:, :, 6:], by_bias, atol=1e-3)
     for row in range(len(keys) - 1):
         assert np.allclose(jacobian[row, :, :6], by_poses[row, :, 3 * row : 3 * row + 6], atol=1e-7)
+
+
+def test_noise_of_straight_drives_does_not_make_the_gain_of_turns_too_small():
+    generator = np.random.default_rng(3)
+    steps = np.zeros((2000, 3))
+    steps[:, 0] = 0.3
+    steps[100::200, 2] = 1.5
+    noisy = steps.copy()
+    noisy[:, 2] += np.radians(1.0) * generator.standard_normal(len(steps))
+    path, reported = (integrate(np.zeros(3), each) for each in (steps, noisy))
+    count = len(path)
+    ranges = np.full((count, 1), 5.0)
+    beam = np.zeros((1, 2)), np.zeros(1)
+    keys = keys_of(LogData(np.arange(count) * 0.5, reported, ranges, ranges < 5.0, *beam, 5.0))
+    bias = np.zeros(ERRORS)
+    for _ in range(5):
+        nodes = Nodes(poses=(len(keys), 3), errors=(1, ERRORS))
+        graph = Graph(nodes, order=nodes.columns("errors")[0, :3])
+        graph.add(odometry(keys, Trajectory(path[keys.first_event], bias)))
+        bias = bias + graph.solve()[nodes.columns("errors")[0]]
+    assert abs(bias[2]) < 0.05
 
 
 def rotation(heading):
