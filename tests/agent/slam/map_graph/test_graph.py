@@ -380,10 +380,10 @@ def test_nothing_is_found_where_nothing_fits():
     assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3), 0.0).score == NO_MATCH
 
 
-def corridor(*ends, posts=()):
+def corridor(*ends, posts=(), half=4.0):
     """A corridor of 8 m with end walls and posts at one side at these x, seen from its axis."""
-    along = np.linspace(-4.0, 4.0, 160)
-    walls = [np.column_stack((along, np.full(160, y))) for y in (-1.0, 1.0)]
+    along = np.arange(-half, half, 0.05)
+    walls = [np.column_stack((along, np.full(len(along), y))) for y in (-1.0, 1.0)]
     return np.vstack(
         (
             *walls,
@@ -394,16 +394,18 @@ def corridor(*ends, posts=()):
 
 
 @pytest.mark.parametrize(
-    ("ends", "posts", "std"),
+    ("half", "ends", "posts", "std"),
     [
-        ((), (), (500.0, 2000.0)),
-        ((4.0,), (), (0.05, 0.3)),
-        ((-4.0,), (), (0.05, 0.3)),
-        ((), (-3.0, -1.0, 1.0, 3.0), (500.0, 2000.0)),
+        (4.0, (), (), (500.0, 2000.0)),
+        (4.0, (4.0,), (), (0.05, 0.3)),
+        (4.0, (-4.0,), (), (0.05, 0.3)),
+        (4.0, (), (-3.0, -1.0, 1.0, 3.0), (500.0, 2000.0)),
+        # Farther than the corridor was seen, nothing speaks for or against a shift.
+        (2.0, (2.0,), (0.0,), (0.05, 0.3)),
     ],
 )
-def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, posts, std):
-    places = corridor(*ends, posts=posts)
+def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(half, ends, posts, std):
+    places = corridor(*ends, posts=posts, half=half)
     origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
     grid = draw_grid(places, origins, 4.5, MAPS)
     chunk = LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
