@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix
+from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 from limslam_env.compilation import entry_of
@@ -24,6 +24,7 @@ _AT_ONCE = 32
 # is never zero keeps all places that the recursion of covariances visits. It is below the rounding
 # errors of the matrix.
 _NEVER_ZERO = 1e-16
+_PANEL = 1  # columns that splu works on at once; more are slower for matrices with so few entries
 
 Keys = tuple[tuple[str, IntArray], ...]
 """The nodes of f factors: the kind and the numbers (f,) of the first node of each, of the second
@@ -118,7 +119,6 @@ class Graph:
 
     def __init__(self, nodes: Nodes, order: IntArray | None = None) -> None:
         self.nodes = nodes
-        self.gradient = np.zeros(nodes.size)
         self._column_order: Literal["NATURAL", "MMD_AT_PLUS_A"] = "NATURAL"
         if order is None:
             self._column_order = "MMD_AT_PLUS_A"
@@ -131,6 +131,15 @@ class Graph:
         self._places[np.append(order, np.flatnonzero(is_fixed))] = np.arange(nodes.size)
         self._rows = list[IntArray]()
         self._columns = list[IntArray]()
+        # Of each entry that was added, its place in the matrix; and the rows and columns of that
+        self._sparsity: tuple[IntArray, IntArray, IntArray] | None = None
+        self.clear()
+
+    def clear(self) -> None:
+        """Remove all factors. Factors of the same nodes have to be added again, in the same order:
+        the sparsity of the matrix is found once for all of them.
+        """
+        self.gradient = np.zeros(self.nodes.size)
         self._values = list[FloatArray]()
         self._factors: SuperLU | None = None
 
@@ -166,11 +175,13 @@ class Graph:
     def add_sums(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
         """Add sums over factors: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
         self._factors = None
-        width = columns.shape[1]
-        places = self._places[columns]
         self._values.append(hessian.ravel())
-        self._rows.append(np.repeat(places, width, axis=1).ravel())
-        self._columns.append(np.tile(places, (1, width)).ravel())
+        if len(self._rows) < len(self._values):
+            self._sparsity = None
+            width = columns.shape[1]
+            places = self._places[columns]
+            self._rows.append(np.repeat(places, width, axis=1).ravel())
+            self._columns.append(np.tile(places, (1, width)).ravel())
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
     def factorise(self) -> SuperLU:
@@ -257,27 +268,77 @@ class Graph:
 
     def _matrix(self) -> csc_matrix:
         """The matrix of the unknowns that are not fixed."""
-        places = (np.concatenate(self._rows), np.concatenate(self._columns))
         count = len(self._free)
-        size = self.nodes.size
-        whole = coo_matrix((np.concatenate(self._values), places), shape=(size, size))
-        # Sorting by rows and then by columns is faster than the sum of scipy, which sorts each
-        # column by comparisons.
-        whole.has_canonical_format = True
-        matrix = whole.tocsr().tocsc()
-        matrix.has_sorted_indices = True
-        matrix.has_canonical_format = False
-        matrix.sum_duplicates()
-        return matrix[:count, :count]
+        if self._sparsity is None:
+            places = (np.concatenate(self._rows), np.concatenate(self._columns))
+            self._sparsity = _places_of_sums(*places, count)
+        places, rows, firsts = self._sparsity
+        sums = np.bincount(places, np.concatenate(self._values), len(rows) + 1)
+        return csc_matrix((sums[1:], rows, firsts), shape=(count, count))
 
 
 def _factorised(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> SuperLU:
     try:
         return splu(
-            matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            matrix,
+            permc_spec=order,
+            diag_pivot_thresh=0.0,
+            panel_size=_PANEL,
+            options={"SymmetricMode": True},
         )
     except RuntimeError as error:
         raise DegenerateError("the factors do not determine the unknowns") from error
+
+
+@kernel
+def _sorted(keys: IntArray, entries: IntArray, count: int) -> tuple[IntArray, IntArray]:
+    """Those of the entries whose keys are below a number, sorted by their keys, equal ones in the
+    same order; and where each key begins (count + 1,).
+    """
+    ends = np.zeros(count + 1, np.int64)
+    for entry in entries:
+        if keys[entry] < count:
+            ends[keys[entry] + 1] += 1
+    ends = np.cumsum(ends)
+    firsts = ends.copy()
+    found = np.empty(firsts[count], np.int64)
+    for entry in entries:
+        if keys[entry] < count:
+            found[ends[keys[entry]]] = entry
+            ends[keys[entry]] += 1
+    return found, firsts
+
+
+@kernel
+def _places_of_sums(
+    rows: IntArray, columns: IntArray, count: int
+) -> tuple[IntArray, IntArray, IntArray]:
+    """A square matrix with so many columns, as the sum of entries (e,) at rows and columns.
+
+    Sorting by counting is faster than by comparisons.
+
+    Returns
+    -------
+    places, rows, firsts
+        For each entry (e,), its sum, from 1 on, or 0 if it lies outside of the matrix; the row of
+        each sum (s,); and where each column begins (count + 1,).
+    """
+    by_row, _ = _sorted(rows, np.arange(len(rows)), count)
+    order, begins = _sorted(columns, by_row, count)
+    places = np.zeros(len(rows), np.int64)
+    rows_of = np.empty(len(order), np.int32)
+    firsts = np.zeros(count + 1, np.int32)
+    sums = 0
+    for column in range(count):
+        before = -1
+        for entry in order[begins[column] : begins[column + 1]]:
+            if rows[entry] != before:
+                before = rows[entry]
+                rows_of[sums] = before
+                sums += 1
+            places[entry] = sums
+        firsts[column + 1] = sums
+    return places, rows_of[:sums].copy(), firsts
 
 
 @kernel

@@ -44,8 +44,7 @@ class Solution:
         Weights (k,) of the readings: their inverse variances, 1/m^2; 0 for readings without a line
         and grazing ones.
     kept
-        The columns that are eliminated last, in this order: last poses of blocks, calibrations and
-        lines.
+        The columns that are eliminated last, in this order: last poses, calibrations and lines.
     graph, factors
         The graph, linearised at the state before the last step, and the factors of its matrix.
     """
@@ -89,13 +88,14 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     if not len(state.lines):
         raise DegenerateError("no line has enough readings")
     nodes, kept, order = _unknowns(problem, state)
-    weights = np.zeros(len(labels))
+    graph = Graph(nodes, order)
     for iteration in range(_MOST_ITERATIONS):
         if iteration < _CHOOSING:
             weights = _weights(problem, state, labels)
-        graph = Graph(nodes, order)
-        for factors in _factors(problem, state, labels, weights):
-            graph.add(factors)
+            factors = _factors(problem, state, labels, weights)
+        graph.clear()
+        for each in factors:
+            graph.add(each)
         # The unknowns that are eliminated last get an entry for each pair, since their joint
         # covariance is asked for.
         count = len(kept)
@@ -104,7 +104,8 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
         step = -graph.solved(solver, graph.gradient)
         if not np.isfinite(step).all():
             raise DegenerateError("the readings do not determine the poses")
-        state, change = _descended(problem, state, labels, weights, nodes, step)
+        begin = (state, factors)
+        state, factors, change = _descended(problem, begin, labels, weights, nodes, step)
         if change < _CONVERGED:
             break
     return Solution(state, weights, kept, graph, solver)
@@ -124,8 +125,9 @@ def _unknowns(problem: Problem, state: State) -> tuple[Nodes, IntArray, IntArray
     is_inner = np.ones((robots, steps), dtype=bool)
     is_inner[:, 0] = is_inner[:, ends] = False
     poses = nodes.columns("poses").reshape(robots, steps, 3)
-    kept = np.append(poses[:, ends].ravel(), np.arange(poses.size, nodes.size))
-    return nodes, kept, np.append(poses[is_inner].ravel(), kept)
+    kept = np.append(poses[:, -1].ravel(), np.arange(poses.size, nodes.size))
+    others = (poses[is_inner].ravel(), poses[:, ends[:-1]].ravel())
+    return nodes, kept, np.concatenate((*others, kept))
 
 
 def _weights(problem: Problem, state: State, labels: IntArray) -> FloatArray:
@@ -189,23 +191,19 @@ def _ranges(problem: Problem, state: State, labels: IntArray, weights: FloatArra
 
 def _descended(
     problem: Problem,
-    state: State,
+    begin: tuple[State, list[Factors]],
     labels: IntArray,
     weights: FloatArray,
     nodes: Nodes,
     step: FloatArray,
-) -> tuple[State, float]:
-    """The state after a step, which is halved until the residuals do not grow, and the largest
-    change of a pose.
+) -> tuple[State, list[Factors], float]:
+    """The state after a step, which is halved until the residuals do not grow, the factors about
+    it, and the largest change of a pose. ``begin`` is the state before, with its factors.
 
     The motions are changed, and the poses follow from them: so the wheels still drive arcs after a
     large step.
     """
-
-    def chi_square(state: State) -> float:
-        factors = _factors(problem, state, labels, weights)
-        return sum(float(each.chi2.sum()) for each in factors)
-
+    state, factors = begin
     moves = step[nodes.columns("poses")].reshape(state.poses.shape)
     pairs = np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1)
     motions = (motion_jacobians(state.poses) @ pairs[..., None])[..., 0]
@@ -214,15 +212,20 @@ def _descended(
     if problem.prior is not None:
         calibration = step[nodes.columns("calibrations")]
     largest = float(np.abs(moves).max())
-    before = chi_square(state)
+    most = _chi_square(factors) * (1.0 + 1e-6) + 1e-3
     share = 1.0
     for _ in range(_MOST_HALVINGS):
         new = state.moved(share * motions, share * lines, share * calibration)
-        is_better = chi_square(new) <= before * (1.0 + 1e-6) + 1e-3
-        if share * largest < _CONVERGED or is_better:
+        factors = _factors(problem, new, labels, weights)
+        if share * largest < _CONVERGED or _chi_square(factors) <= most:
             break
         share *= 0.5
-    return new, share * largest
+    return new, factors, share * largest
+
+
+def _chi_square(factors: list[Factors]) -> float:
+    """The chi-square of all factors."""
+    return sum(float(each.chi2.sum()) for each in factors)
 
 
 def residuals(problem: Problem, readings: Expected) -> FloatArray:

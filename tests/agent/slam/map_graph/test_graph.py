@@ -269,6 +269,23 @@ def test_the_sparse_step_equals_a_dense_one():
     assert np.allclose(graph.covariances(factors)[1], wanted)
 
 
+def test_a_cleared_graph_takes_other_factors_of_the_same_nodes():
+    ends = np.array([[0, 1], [1, 2], [0, 2]])
+    poses = RNG.normal(0.0, 1.0, (3, 3))
+    first, second = (relation(poses, ends, RNG.normal(0.0, 1.0, (3, 3))) for _ in range(2))
+    graph = Graph(Nodes(poses=(3, 3)))
+    graph.add(first)
+    graph.solve()
+    graph.clear()
+    graph.add(replace(second, jacobian=2.0 * second.jacobian))
+    other = Graph(graph.nodes)
+    other.add(replace(second, jacobian=2.0 * second.jacobian))
+    assert np.array_equal(graph.solve(), other.solve())
+    graph.add(first)
+    other.add(first)
+    assert np.array_equal(graph.solve(), other.solve())
+
+
 CONFIG = GraphConfig()
 
 
