@@ -57,7 +57,7 @@ _LEAST_TURN = math.radians(8.0)
 # rad.
 _SIGMAS = 2.5
 _MOST_DISTANCE = 12.0
-_MOST_SHIFT = 4.0
+_MOST_SHIFT = 6.0
 _MOST_TURN = math.radians(90.0)
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""

@@ -39,8 +39,10 @@ LEAST_POINTS = 20
 thousands of poses.
 """
 _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
-_FALL = 2.0  # the loss of log-likelihood at two standard deviations
-_UNKNOWN_STD = 30.0  # m, of a match along a direction in which nothing speaks against any shift
+_FALL = 3.0  # the loss of log-likelihood at a few standard deviations, as of a box beside a wall
+# share of the points that have to lie in known cells after a shift, to tell whether they fit there
+_SEEN = 1.0 / 3.0
+_UNKNOWN_STD = 1000.0  # m, of a match along a direction in which nothing speaks against any shift
 
 
 class SearchGrid(NamedTuple):
@@ -148,8 +150,8 @@ def match_covariance(
     covariance = (apart * weight.reshape(-1, 1)).T @ apart + np.diag(np.square(_FLOOR_STDS))
     along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
     turned = se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
-    lost = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
-    missing = _variance_along(_SHARPNESS * lost, grid.cell) - along @ covariance @ along
+    sums = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
+    missing = _variance_along(*sums, grid.cell) - along @ covariance @ along
     return pose, covariance + max(missing, 0.0) * np.outer(along, along)
 
 
@@ -164,29 +166,32 @@ def _scores_around(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> Fl
 
 
 def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatArray) -> FloatArray:
-    """How many points (2 ``_FAR_CELLS`` + 1,) no longer fit if all are shifted along a direction
-    (3,), cell by cell.
+    """How many points (2, 2 ``_FAR_CELLS`` + 1) no longer fit if all are shifted along a direction
+    (3,), cell by cell, and how many tell.
 
     Two chunks of one corridor fit best where they overlap most, since unknown cells count for
-    nothing in a score. That says nothing about the distance along the corridor, so the points in
-    unknown cells are left out here.
+    nothing in a score. That says nothing about the distance along the corridor, so only points
+    count here that lie in known cells before and after a shift.
     """
     shifts = grid.cell * np.arange(-_FAR_CELLS, _FAR_CELLS + 1)[:, None] * along[:2]
     cells = grid.at(se2.transform_points(pose, points)[:, None] + shifts)
-    sums = cells.sum(axis=0) / HIT
-    known = np.count_nonzero(cells, axis=0)
-    return np.asarray(sums[_FAR_CELLS] / max(known[_FAR_CELLS], 1) * known - sums)
+    unshifted = cells[:, [_FAR_CELLS]]
+    tells = (cells != 0) & (unshifted != 0)
+    return np.array([(tells * (unshifted - cells)).sum(axis=0) / HIT, tells.sum(axis=0)])
 
 
-def _variance_along(lost: FloatArray, cell: float) -> float:
-    """Variance, m^2, from the log-likelihood that is lost by shifts (2 ``_FAR_CELLS`` + 1,) to both
-    sides.
+def _variance_along(lost: FloatArray, tells: FloatArray, cell: float) -> float:
+    """Variance, m^2, from the points that are lost, and those that tell, after shifts
+    (2 ``_FAR_CELLS`` + 1,) to both sides.
 
     Along equal rooms, the likelihood falls and rises again. All matches there have the same rivals,
     so together they tell no more than one of them.
     """
-    falls = [int(np.argmax(side >= _FALL)) for side in (lost[_FAR_CELLS::-1], lost[_FAR_CELLS:])]
-    rivals = np.abs(np.flatnonzero(lost < _FALL) - _FAR_CELLS)
+    is_less = _SHARPNESS * lost >= _FALL
+    has_seen = tells >= _SEEN * tells[_FAR_CELLS]
+    sides = (is_less & has_seen)[_FAR_CELLS::-1], (is_less & has_seen)[_FAR_CELLS:]
+    falls = [int(np.argmax(side)) for side in sides]
+    rivals = np.abs(np.flatnonzero(~is_less & has_seen) - _FAR_CELLS)
     if not all(falls) or rivals.max() > max(falls):
         return _UNKNOWN_STD**2
     return (cell * max(falls)) ** 2 / (2.0 * _FALL)

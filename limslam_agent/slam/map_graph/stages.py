@@ -240,8 +240,9 @@ def smooth_with_loops(
 
 def _hop_covariances(keys: KeyPoses, local: Trajectory, middles: IntArray) -> FloatArray:
     """Covariances (c - 1, 3, 3) of the motions between chunks by the local graph, which are at most
-    those by odometry alone.
+    those by odometry alone, with its constant errors as far as the log tells them.
     """
+    keys = with_learned_errors(keys, local, cautious_graph(keys, local), _STATED)
     by_links, by_odometry = (
         motion_covariances(graph(keys, local), local.poses, middles)
         for graph in (cautious_graph, odometry_graph)

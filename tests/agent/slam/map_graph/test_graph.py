@@ -29,6 +29,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     corrected,
     delayed,
     event_poses,
+    integrate,
     joined_bias,
     odometry_trajectory,
 )
@@ -165,6 +166,27 @@ def test_odometry_jacobian_by_poses_and_constant_errors():
     assert np.allclose(jacobian[:, :, 6:], by_bias, atol=1e-3)
     for row in range(len(keys) - 1):
         assert np.allclose(jacobian[row, :, :6], by_poses[row, :, 3 * row : 3 * row + 6], atol=1e-7)
+
+
+def test_noise_of_straight_drives_does_not_make_the_gain_of_turns_too_small():
+    generator = np.random.default_rng(3)
+    steps = np.zeros((2000, 3))
+    steps[:, 0] = 0.3
+    steps[100::200, 2] = 1.5
+    noisy = steps.copy()
+    noisy[:, 2] += np.radians(1.0) * generator.standard_normal(len(steps))
+    path, reported = (integrate(np.zeros(3), each) for each in (steps, noisy))
+    count = len(path)
+    ranges = np.full((count, 1), 5.0)
+    beam = np.zeros((1, 2)), np.zeros(1)
+    keys = keys_of(LogData(np.arange(count) * 0.5, reported, ranges, ranges < 5.0, *beam, 5.0))
+    bias = np.zeros(ERRORS)
+    for _ in range(5):
+        nodes = Nodes(poses=(len(keys), 3), errors=(1, ERRORS))
+        graph = Graph(nodes, order=nodes.columns("errors")[0, :3])
+        graph.add(odometry(keys, Trajectory(path[keys.first_event], bias)))
+        bias = bias + graph.solve()[nodes.columns("errors")[0]]
+    assert abs(bias[2]) < 0.05
 
 
 def rotation(heading):
@@ -380,10 +402,10 @@ def test_nothing_is_found_where_nothing_fits():
     assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3), 0.0).score == NO_MATCH
 
 
-def corridor(*ends, posts=()):
+def corridor(*ends, posts=(), half=4.0):
     """A corridor of 8 m with end walls and posts at one side at these x, seen from its axis."""
-    along = np.linspace(-4.0, 4.0, 160)
-    walls = [np.column_stack((along, np.full(160, y))) for y in (-1.0, 1.0)]
+    along = np.arange(-half, half, 0.05)
+    walls = [np.column_stack((along, np.full(len(along), y))) for y in (-1.0, 1.0)]
     return np.vstack(
         (
             *walls,
@@ -394,16 +416,18 @@ def corridor(*ends, posts=()):
 
 
 @pytest.mark.parametrize(
-    ("ends", "posts", "std"),
+    ("half", "ends", "posts", "std"),
     [
-        ((), (), (20.0, 40.0)),
-        ((4.0,), (), (0.05, 0.3)),
-        ((-4.0,), (), (0.05, 0.3)),
-        ((), (-3.0, -1.0, 1.0, 3.0), (20.0, 40.0)),
+        (4.0, (), (), (500.0, 2000.0)),
+        (4.0, (4.0,), (), (0.05, 0.3)),
+        (4.0, (-4.0,), (), (0.05, 0.3)),
+        (4.0, (), (-3.0, -1.0, 1.0, 3.0), (500.0, 2000.0)),
+        # Farther than the corridor was seen, nothing speaks for or against a shift.
+        (2.0, (2.0,), (0.0,), (0.05, 0.3)),
     ],
 )
-def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, posts, std):
-    places = corridor(*ends, posts=posts)
+def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(half, ends, posts, std):
+    places = corridor(*ends, posts=posts, half=half)
     origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
     grid = draw_grid(places, origins, 4.5, MAPS)
     chunk = LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
