@@ -150,8 +150,8 @@ def match_covariance(
     covariance = (apart * weight.reshape(-1, 1)).T @ apart + np.diag(np.square(_FLOOR_STDS))
     along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
     turned = se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
-    sums = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
-    missing = _variance_along(*sums, grid.cell) - along @ covariance @ along
+    lost, tells = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
+    missing = _variance_along(lost, tells, grid.cell) - along @ covariance @ along
     return pose, covariance + max(missing, 0.0) * np.outer(along, along)
 
 
