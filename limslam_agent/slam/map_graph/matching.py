@@ -42,7 +42,7 @@ _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
 _FALL = 3.0  # the loss of log-likelihood at a few standard deviations, as of a box beside a wall
 # share of the points that have to lie in known cells after a shift, to tell whether they fit there
 _SEEN = 1.0 / 3.0
-_UNKNOWN_STD = 1000.0  # m, of a match along a direction in which nothing speaks against any shift
+_UNKNOWN_STD = 30.0  # m, of a match along a direction in which nothing speaks against any shift
 
 
 class SearchGrid(NamedTuple):
