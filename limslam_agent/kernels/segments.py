@@ -144,6 +144,7 @@ def fit_segment(
         pose = (x[at], x[at + 1], x[at + 2])
         hit_x, hit_y = end_on_wall(pose, rows[i], (cos, sin), reaches[i])
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
+    # The kernels sort in one way, since each way is compiled on its own.
     clear_along = along[clear]
     ordered = clear_along[np.argsort(clear_along, kind="mergesort")]
     cosines = expected[:, 6].copy()

@@ -14,7 +14,6 @@ from limslam_agent.slam.map_graph.wall_lines import WallLines
 from limslam_env.geometry import FloatArray, IntArray
 
 _LOOP_KERNEL = 3.0  # scale of dynamic covariance scaling, as a chi-square
-_GAIN = 8  # column of the gain of turns in the derivatives of a motion between two poses
 
 
 def loop_kernel(widening: float = 1.0) -> RobustKernel:
@@ -29,12 +28,12 @@ def odometry(keys: KeyPoses, trajectory: Trajectory) -> Factors:
     by_poses = relation(trajectory.poses, np.column_stack((first, first + 1)), steps)
     by_errors = -keys.steps.by_errors(trajectory.bias)
     errors = by_poses.errors
-    jacobian = np.concatenate((by_poses.jacobian, by_errors), axis=2)
     # The gain multiplies the true turn. The reported turn has noise, which is all that it is on
     # straight drives, and the gain that explains it best is too small.
     whole = 1.0 + trajectory.bias[2]
     errors[:, 2] /= whole
-    jacobian[:, 2, _GAIN] -= errors[:, 2]
+    by_errors[:, 2, 2] -= errors[:, 2]
+    jacobian = np.concatenate((by_poses.jacobian, by_errors), axis=2)
     jacobian[:, 2] /= whole
     return Factors(
         (*by_poses.keys, ("errors", np.zeros_like(first))),

@@ -271,7 +271,7 @@ class OnlineGraph:
         last = frame.poses[-1]
         back = self._recent.travel - 0.5 * self._config.maps.half
         key = int(frame.keys.event_key[self._recent.at(back) - frame.first])
-        found = self._in_joined_map(frame, key)
+        found = self._in_joined_map(frame, key, self._local_map(frame, key))
         if found is not None:
             return compose(found[1], between(frame.trajectory.poses[key], last))
         middle = frame.poses[self._middles[-1] - frame.first]
@@ -283,15 +283,19 @@ class OnlineGraph:
         event = self._recent.first + int(frame.keys.first_event[key])
         return replace(drawn, travel=self._recent.travel_at(event))
 
-    def _in_joined_map(self, frame: LocalFrame, key: int) -> tuple[Loop, FloatArray] | None:
-        """The loop from earlier visits to the local map around a key pose, and its pose (3,)."""
+    def _in_joined_map(
+        self, frame: LocalFrame, key: int, drawn: LocalMap
+    ) -> tuple[Loop, FloatArray] | None:
+        """The loop from earlier visits to the local map that was drawn around a key pose, and its
+        pose (3,).
+        """
         if self.places is None:
             return None
         last = int(frame.keys.event_key[self._middles[-1] - frame.first])
         own = np.diag(frame.keys.step_variances[last:key].sum(axis=0))
         motion = between(frame.trajectory.poses[last], frame.trajectory.poses[key])
         visit = self._config.maps.another_visit
-        return loop_to_joined(self.places, self._local_map(frame, key), motion, own, visit)
+        return loop_to_joined(self.places, drawn, motion, own, visit)
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -370,7 +374,7 @@ class OnlineGraph:
         self._middles.append(event)
         # Another visit may have seen less of this place from each of its chunks than from all.
         if not any(each.second == len(self.places.maps) - 1 for each in self.places.loops):
-            found = self._in_joined_map(frame, key)
+            found = self._in_joined_map(frame, key, chunk)
             if found is not None:
                 self.places.close([found[0]])
         self._chunk_std = self.places.position_std
