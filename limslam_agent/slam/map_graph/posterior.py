@@ -118,16 +118,18 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
     ends = np.minimum(np.searchsorted(driven, driven[begins] + 2.0 * half), len(errors))
     begins = np.minimum(begins, ends - 1)
     columns = graph.nodes.columns_of(factors.keys)
-    ratios = np.zeros((len(begins), 3))
+    squares = np.zeros((len(begins), 3))
+    told = np.zeros((len(begins), 3))
     # One window at a time, since each needs dense columns of all unknowns.
     for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         rows = np.zeros((graph.nodes.size, 3))
         for part in range(3):
             np.add.at(rows[:, part], columns[begin:end], factors.jacobian[begin:end, part])
         posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0)
-        squares = errors[begin:end].sum(axis=0) ** 2
-        ratios[window] = (squares + posterior) / keys.step_variances[begin:end].sum(axis=0)
-    return np.asarray((ratios.sum(axis=0) + _ASSUMED) / (len(ratios) + _ASSUMED))
+        variances = keys.step_variances[begin:end].sum(axis=0)
+        squares[window] = errors[begin:end].sum(axis=0) ** 2 / variances
+        told[window] = np.maximum(1.0 - posterior / variances, 0.0)
+    return np.asarray(np.sqrt((squares.sum(axis=0) + _ASSUMED) / (told.sum(axis=0) + _ASSUMED)))
 
 
 def _evenly(length: float, apart: float) -> FloatArray:

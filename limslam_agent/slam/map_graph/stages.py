@@ -61,7 +61,7 @@ _LEARNED = 3
 _BETTER = 0.5
 # How many variances of their estimates count in the priors of the constant errors: in the smoothing
 # an estimate has to exceed three standard deviations
-_SHRUNK = -9.0
+_SHRUNK = 0.0
 _STATED = 1.0
 _CAUTION = 2.0  # of the variances of odometry alone, where they limit those of hops
 # Where visits contradict each other, hops as near as this, in lengths of chunks, have these further
