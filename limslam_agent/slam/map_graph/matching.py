@@ -39,6 +39,7 @@ LEAST_POINTS = 20
 thousands of poses.
 """
 _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
+_SHAPE = 3.0  # the square of half a range over the variance of a uniform distribution
 _FALL = 3.0  # the loss of log-likelihood at a few standard deviations, as of a box beside a wall
 # share of the points that have to lie in known cells after a shift, to tell whether they fit there
 _SEEN = 1.0 / 3.0
@@ -141,8 +142,8 @@ def match_covariance(
     scores = _scores_around(grid, points, pose)
     weight = np.exp((scores - scores.max()) * len(points) * _SHARPNESS)
     weight /= weight.sum()
-    middle = np.array([_AROUND_TURNS, _AROUND_CELLS, _AROUND_CELLS])
-    steps = np.moveaxis(np.indices(scores.shape), 0, -1) - middle
+    best = np.array([_AROUND_TURNS, _AROUND_CELLS, _AROUND_CELLS])
+    steps = np.moveaxis(np.indices(scores.shape), 0, -1) - best
     offsets = (steps * [TURN_STEP, grid.cell, grid.cell])[..., [1, 2, 0]].reshape(-1, 3)
     mean = weight.ravel() @ offsets
     apart = offsets - mean
@@ -151,8 +152,11 @@ def match_covariance(
     along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
     turned = se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
     lost, tells = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
-    missing = _variance_along(lost, tells, grid.cell) - along @ covariance @ along
-    return pose, covariance + max(missing, 0.0) * np.outer(along, along)
+    middle, variance = _range_along(lost, tells, grid.cell)
+    missing = variance - along @ covariance @ along
+    if missing <= 0.0:
+        return pose, covariance
+    return pose + middle * along, covariance + missing * np.outer(along, along)
 
 
 def _scores_around(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> FloatArray:
@@ -180,8 +184,8 @@ def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatAr
     return np.array([(tells * (unshifted - cells)).sum(axis=0) / HIT, tells.sum(axis=0)])
 
 
-def _variance_along(lost: FloatArray, tells: FloatArray, cell: float) -> float:
-    """Variance, m^2, from the points that are lost, and those that tell, after shifts
+def _range_along(lost: FloatArray, tells: FloatArray, cell: float) -> tuple[float, float]:
+    """Middle, m, and variance, m^2, of the shifts that fit, from the points that are lost, and those that tell, after shifts
     (2 ``_FAR_CELLS`` + 1,) to both sides.
 
     Along equal rooms, the likelihood falls and rises again. All matches there have the same rivals,
@@ -193,8 +197,9 @@ def _variance_along(lost: FloatArray, tells: FloatArray, cell: float) -> float:
     falls = [int(np.argmax(side)) for side in sides]
     rivals = np.abs(np.flatnonzero(~is_less & has_seen) - _FAR_CELLS)
     if not all(falls) or rivals.max() > max(falls):
-        return _UNKNOWN_STD**2
-    return (cell * max(falls)) ** 2 / (2.0 * _FALL)
+        return 0.0, _UNKNOWN_STD**2
+    low, high = falls
+    return 0.5 * cell * (high - low), (0.5 * cell * (high + low)) ** 2 / _SHAPE
 
 
 @kernel
