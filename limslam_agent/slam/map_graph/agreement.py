@@ -21,6 +21,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 _DISTANCE = 0.6
 _TURN = math.radians(9.0)
 _SUPPORT_HOPS = 3  # chunks, at most, between the ends of loops that support each other
+_AS_WELL = 3.0  # standard deviations of a loop, which one that supports it has at most
 _SLACK = 0.3  # m, by which a hop is longer or shorter, since chunks begin with key poses
 _STRETCH = 2  # chunks before and after a chunk
 
@@ -56,6 +57,10 @@ def supported(
     gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
     most = _SUPPORT_HOPS * hop + _SLACK
     near = (gaps[0] <= most) & (gaps[1] >= hop - _SLACK) & (gaps[1] <= most)
+    # What is free along a corridor agrees with any place along it.
+    covariances = np.linalg.inv([loop.information for loop in loops])
+    stds = np.sqrt(np.trace(covariances[:, :2, :2], axis1=1, axis2=2))
+    near &= stds[:, None] <= _AS_WELL * stds
     return np.asarray((near & agree(predicted, relative[None])).any(axis=0))
 
 
