@@ -7,14 +7,16 @@ two loops does separate them.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from limslam_agent.slam.map_graph.chunk_graph import Loop
 from limslam_agent.slam.map_graph.key_poses import APART, KeyPoses, Trajectory
-from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.map_graph.matching import search_grid
+from limslam_agent.config.graph import LocalMapConfig
+from limslam_agent.slam.map_graph.local_maps import LocalMap, chunk_middles, cut_chunks
+from limslam_agent.slam.map_graph.matching import FAR_CELLS, least_known, lost_along, range_along, search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # Two poses agree within these tolerances, m and rad.
@@ -22,6 +24,9 @@ _DISTANCE = 0.6
 _TURN = math.radians(9.0)
 _SUPPORT_HOPS = 3  # chunks, at most, between the ends of loops that support each other
 _AS_WELL = 3.0  # standard deviations of a loop, which one that supports it has at most
+_FREE = 20.0  # m, standard deviation of a loop that is free along a corridor
+_ROW = 12.5  # m of driving before and after a chunk that are judged with it
+_PARALLEL = 0.95
 _SLACK = 0.3  # m, by which a hop is longer or shorter, since chunks begin with key poses
 _STRETCH = 2  # chunks before and after a chunk
 
@@ -62,6 +67,68 @@ def supported(
     stds = np.sqrt(np.trace(covariances[:, :2, :2], axis1=1, axis2=2))
     near &= stds[:, None] <= _AS_WELL * stds
     return np.asarray((near & agree(predicted, relative[None])).any(axis=0))
+
+
+def known_together(
+    loops: Sequence[Loop], poses: FloatArray, maps: Sequence[LocalMap], config: LocalMapConfig
+) -> list[Loop]:
+    """The loops, of which those that are free along a corridor are judged together with those
+    around.
+
+    One chunk fits beside each of equal rooms. Of several in a row, all but one place is contradicted
+    by some. ``poses`` (c, 3) are those of the chunks ``maps`` with all loops.
+    """
+    grids = lru_cache(None)(lambda number: search_grid(maps[number].grid, config.cell, 0.0))
+    relative = [se2.between(poses[loop.first], poses[loop.second]) for loop in loops]
+    covariances = [np.linalg.inv(loop.information) for loop in loops]
+    along = np.array([least_known(each) for each in covariances])
+    world = se2.compose(poses[[l.first for l in loops]] * (0.0, 0.0, 1.0), along)[:, :2]
+    known = list(loops)
+    travel = np.array([maps[loop.second].travel for loop in loops])
+    stds = np.array([math.sqrt(np.trace(each[:2, :2])) for each in covariances])
+    for number, loop in enumerate(loops):
+        if stds[number] < _FREE:
+            continue
+        same = world @ world[number]
+        group = np.flatnonzero(
+            (np.abs(travel - travel[number]) <= _ROW) & (np.abs(same) > _PARALLEL) & (stds >= _FREE)
+        )
+        shift = 0.0
+        for _ in range(3):
+            both = np.zeros((2, 2 * FAR_CELLS + 1))
+            for each in group:
+                first, second = loops[each].first, loops[each].second
+                way = np.sign(same[each]) * along[each]
+                both += lost_along(
+                    grids(first),
+                    maps[second].points,
+                    relative[each] + shift * way,
+                    (grids(second), maps[first].points),
+                    way,
+                )
+            # Neighbouring chunks share most of their points.
+            share = config.hop / config.length * len(np.unique(travel[group])) / len(group)
+            both *= share
+            seen = both[1] >= both[1, FAR_CELLS] / 3.0
+            best = int(np.argmin(np.where(seen, both[0], np.inf))) - FAR_CELLS
+            middle, variance = range_along(both, config.cell)
+            if _DEBUG: print('    row', loop.first, loop.second, len(group), 'shift %.1f best %.1f middle %.2f std %.2f'%(shift,best*config.cell,middle,variance**.5), 'lost at best', both[0,best+FAR_CELLS])
+            if abs(best) <= 1:
+                break
+            shift += best * config.cell
+        covariance = covariances[number]
+        if abs(best) <= 1 and variance < _FREE**2:
+            way = along[number]
+            missing = len(group) * variance - way @ covariance @ way
+            known[number] = replace(
+                loop,
+                relative=relative[number] + (shift + middle) * way,
+                information=np.linalg.inv(covariance + missing * np.outer(way, way)),
+            )
+    return known
+
+
+_DEBUG = False
 
 
 @dataclass(frozen=True, eq=False)

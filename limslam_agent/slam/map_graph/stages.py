@@ -12,7 +12,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations
-from limslam_agent.slam.map_graph.agreement import supported, visit_counts
+from limslam_agent.slam.map_graph.agreement import known_together, supported, visit_counts
 from limslam_agent.slam.map_graph.chunk_graph import (
     KEPT,
     KEPT_WEIGHT,
@@ -219,10 +219,13 @@ def smooth_with_loops(
         away = np.abs(travel[middles[1:], None] - travel[doubtful]).min(axis=1)
         covariances[away < _BENT_WITHIN * maps.length] += np.diag(np.square(_BENT_STDS))
     hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-    found = search_loops(cut_chunks(keys, trajectory, middles), poses[0], hops, maps)
+    chunks = cut_chunks(keys, trajectory, middles)
+    found = search_loops(chunks, poses[0], hops, maps)
     good = supported(found, poses, keys.key_travel[middles], maps.hop)
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
+    solved, _ = solve_annealed(poses[0], hops, loops)
+    loops = known_together(loops, solved, chunks, maps)
     solved, weights = solve_annealed(poses[0], hops, loops)
     judged = [
         replace(loop, reason=KEPT if weight > KEPT_WEIGHT else OUTVOTED)
