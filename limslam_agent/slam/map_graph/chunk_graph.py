@@ -59,9 +59,6 @@ _SIGMAS = 2.5
 _MOST_DISTANCE = 12.0
 _MOST_SHIFT = 6.0
 _MOST_TURN = math.radians(90.0)
-# The largest chi-square of a loop, and what is added to the covariance of the pose that was believed
-_GATE = 9.0
-_LEAST = np.diag([0.15**2, 0.15**2, math.radians(2.0) ** 2])
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
@@ -273,25 +270,20 @@ class ChunkGraph:
             return []
         old = old[searched]
         guesses = guesses[searched]
-        covariances = self._covariances_from(old)
-        variances = np.diagonal(covariances, axis1=1, axis2=2)
-        position_std, turn_std = np.sqrt([variances[:, :2].max(axis=1), variances[:, 2]])
+        position_std, turn_std = self._stds_from(old)
         # Chunks within a hop show the same place, however well their poses are known.
         near = np.hypot(guesses[:, 0], guesses[:, 1]) <= self._config.hop + _SIGMAS * position_std
         points = self.maps[newest].points
-        matches = list[tuple[Match, np.intp]]()
+        matches = list[tuple[Match, int]]()
         for row in np.flatnonzero(near):
             window = search_window(position_std[row], turn_std[row])
             first = int(old[row])
             # A match that is worse than all that are kept is of no use.
             least = matches[-1][0].score if len(matches) == _BEST else SCORES[0]
             best = match(self._grid(first), points, guesses[row], window, max(least, SCORES[0]))
-            matches = sorted([*matches, (best, row)], key=lambda each: -each[0].score)[:_BEST]
-        loops = [
-            (self._loop(int(old[row]), newest, best), guesses[row], covariances[row])
-            for best, row in matches
-        ]
-        return [loop for loop, *guess in loops if loop is not None and is_near(loop, *guess)]
+            matches = sorted([*matches, (best, first)], key=lambda each: -each[0].score)[:_BEST]
+        loops = [self._loop(first, newest, best) for best, first in matches]
+        return [loop for loop in loops if loop is not None]
 
     def _loop(self, first: int, second: int, best: Match) -> Loop | None:
         """A loop with the covariance of its match; None if the chunks do not match in both
@@ -309,26 +301,18 @@ class ChunkGraph:
         mean, covariance = match_covariance(self._grid(first), points, best.pose, (back, others))
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), best.score)
 
-    def _covariances_from(self, old: IntArray) -> FloatArray:
-        """Covariances (k, 3, 3) of the newest chunk's pose in the frames of old chunks (k,)."""
-        ends = np.column_stack((old, np.full(len(old), len(self.poses) - 1)))
-        return self.covariances(relation(self.poses, ends, np.zeros((len(old), 3)))) + _LEAST
+    def _stds_from(self, old: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations (k,), m and rad, of the newest chunk's pose in the frames of old
+        chunks (k,).
+        """
+        ends = np.column_stack((np.full(len(old), len(self.poses) - 1), old))
+        covariance = self.covariances(relation(self.poses, ends, np.zeros((len(old), 3))))
+        position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
+        return position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 
     def _search_grid(self, number: int) -> SearchGrid:
         chunk = self.maps[number]
         return search_grid(chunk.grid, chunk.cell, _MOST_SHIFT)
-
-
-def is_near(loop: Loop, guess: FloatArray, covariance: FloatArray) -> bool:
-    """Whether the second chunk is where it was believed: at a pose (3,) with a covariance (3, 3).
-
-    The window of a match is a square. Along a corridor the place may be known much better than
-    across it, and a match with the next one of equal rooms lies in the square.
-    """
-    off = loop.relative - guess
-    off[2] = se2.wrap_angle(off[2])
-    both = covariance + np.linalg.inv(loop.information)
-    return bool(off @ np.linalg.solve(both, off) <= _GATE)
 
 
 def search_window(position_std: float, turn_std: float) -> Window:
