@@ -8,26 +8,35 @@ two loops does separate them.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
-from limslam_agent.slam.map_graph.chunk_graph import Loop
-from limslam_agent.slam.map_graph.key_poses import APART, KeyPoses, Trajectory
 from limslam_agent.config.graph import LocalMapConfig
+from limslam_agent.slam.map_graph.chunk_graph import Loop, relations_of
+from limslam_agent.slam.map_graph.key_poses import APART, KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.local_maps import LocalMap, chunk_middles, cut_chunks
-from limslam_agent.slam.map_graph.matching import FAR_CELLS, least_known, lost_along, range_along, search_grid
+from limslam_agent.slam.map_graph.matching import (
+    FAR_CELLS,
+    SEEN,
+    UNKNOWN_STD,
+    least_known,
+    lost_along,
+    search_grid,
+    variance_along,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # Two poses agree within these tolerances, m and rad.
 _DISTANCE = 0.6
 _TURN = math.radians(9.0)
 _SUPPORT_HOPS = 3  # chunks, at most, between the ends of loops that support each other
-_AS_WELL = 3.0  # standard deviations of a loop, which one that supports it has at most
-_FREE = 20.0  # m, standard deviation of a loop that is free along a corridor
-_ROW = 12.5  # m of driving before and after a chunk that are judged with it
-_PARALLEL = 0.95
 _SLACK = 0.3  # m, by which a hop is longer or shorter, since chunks begin with key poses
+_AS_WELL = 9.0  # largest variance of a loop that supports another, in variances of that one
+# Loops are free along a corridor from this share of the largest variance on. They are judged with
+# those of the chunks up to so many m of driving before and after, in some steps.
+_FREE = 0.5
+_ROW = 12.5
+_SHIFTS = 3
 _STRETCH = 2  # chunks before and after a chunk
 
 
@@ -45,8 +54,8 @@ def agree(predicted: FloatArray, found: FloatArray, apart: FloatArray | float = 
 def supported(
     loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, hop: float
 ) -> BoolArray:
-    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another
-    chunk.
+    """Which loops (k,) are supported by another nearby loop that agrees, is known about as well, and
+    belongs to another chunk.
 
     ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to
     each chunk, m, which is about a ``hop`` longer for each.
@@ -62,73 +71,75 @@ def supported(
     gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
     most = _SUPPORT_HOPS * hop + _SLACK
     near = (gaps[0] <= most) & (gaps[1] >= hop - _SLACK) & (gaps[1] <= most)
-    # What is free along a corridor agrees with any place along it.
+    # A loop that is free along a corridor agrees with any place along it.
     covariances = np.linalg.inv([loop.information for loop in loops])
-    stds = np.sqrt(np.trace(covariances[:, :2, :2], axis1=1, axis2=2))
-    near &= stds[:, None] <= _AS_WELL * stds
+    variances = np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
+    near &= variances[:, None] <= _AS_WELL * variances
     return np.asarray((near & agree(predicted, relative[None])).any(axis=0))
 
 
-def known_together(
+def judged_together(
     loops: Sequence[Loop], poses: FloatArray, maps: Sequence[LocalMap], config: LocalMapConfig
 ) -> list[Loop]:
     """The loops, of which those that are free along a corridor are judged together with those
     around.
 
-    One chunk fits beside each of equal rooms. Of several in a row, all but one place is contradicted
-    by some. ``poses`` (c, 3) are those of the chunks ``maps`` with all loops.
+    One chunk fits beside each of many equal rooms. Several in a row contradict all places but one.
+
+    Parameters
+    ----------
+    loops
+        The loops that agree.
+    poses
+        Poses (c, 3) of the chunks with all these loops.
+    maps
+        The chunks.
+    config
+        The settings of chunks.
     """
-    grids = lru_cache(None)(lambda number: search_grid(maps[number].grid, config.cell, 0.0))
-    relative = [se2.between(poses[loop.first], poses[loop.second]) for loop in loops]
-    covariances = [np.linalg.inv(loop.information) for loop in loops]
+    covariances = [np.asarray(np.linalg.inv(loop.information)) for loop in loops]
     along = np.array([least_known(each) for each in covariances])
-    world = se2.compose(poses[[l.first for l in loops]] * (0.0, 0.0, 1.0), along)[:, :2]
-    known = list(loops)
-    travel = np.array([maps[loop.second].travel for loop in loops])
-    stds = np.array([math.sqrt(np.trace(each[:2, :2])) for each in covariances])
-    for number, loop in enumerate(loops):
-        if stds[number] < _FREE:
-            continue
-        same = world @ world[number]
-        group = np.flatnonzero(
-            (np.abs(travel - travel[number]) <= _ROW) & (np.abs(same) > _PARALLEL) & (stds >= _FREE)
-        )
+    variances = np.einsum("li,lij,lj->l", along, covariances, along)
+    free = np.flatnonzero(variances >= _FREE * UNKNOWN_STD**2).tolist()
+    first, second = relations_of(loops)[0].T
+    relative = se2.between(poses[first], poses[second])
+    headings = poses[first] * (0.0, 0.0, 1.0)
+    in_world = se2.compose(headings, along)[:, :2]
+    travel = np.array([maps[each].travel for each in second])
+    grids = {
+        each: search_grid(maps[each].grid, config.cell, 0.0)
+        for each in {*first[free].tolist(), *second[free].tolist()}
+    }
+    judged = list(loops)
+    for number in free:
+        same = np.round(in_world @ in_world[number])
+        row = [each for each in free if same[each] and abs(travel[each] - travel[number]) <= _ROW]
+        # Neighbours show mostly the same.
+        share = config.hop / config.length * len(set(second[row])) / len(row)
         shift = 0.0
-        for _ in range(3):
+        for _ in range(_SHIFTS):
             both = np.zeros((2, 2 * FAR_CELLS + 1))
-            for each in group:
-                first, second = loops[each].first, loops[each].second
-                way = np.sign(same[each]) * along[each]
-                both += lost_along(
-                    grids(first),
-                    maps[second].points,
-                    relative[each] + shift * way,
-                    (grids(second), maps[first].points),
-                    way,
-                )
-            # Neighbouring chunks share most of their points.
-            share = config.hop / config.length * len(np.unique(travel[group])) / len(group)
-            both *= share
-            seen = both[1] >= both[1, FAR_CELLS] / 3.0
+            for each in row:
+                one, other = first[each], second[each]
+                way = same[each] * along[each]
+                back = grids[other], maps[one].points
+                pose = relative[each] + shift * way
+                both += share * lost_along(grids[one], maps[other].points, pose, back, way)
+            seen = both[1] >= SEEN * both[1, FAR_CELLS]
             best = int(np.argmin(np.where(seen, both[0], np.inf))) - FAR_CELLS
-            middle, variance = range_along(both, config.cell)
-            if _DEBUG: print('    row', loop.first, loop.second, len(group), 'shift %.1f best %.1f middle %.2f std %.2f'%(shift,best*config.cell,middle,variance**.5), 'lost at best', both[0,best+FAR_CELLS])
             if abs(best) <= 1:
                 break
             shift += best * config.cell
-        covariance = covariances[number]
-        if abs(best) <= 1 and variance < _FREE**2:
+        variance = len(row) * variance_along(both, config.cell)
+        if abs(best) <= 1 and variance < variances[number]:
             way = along[number]
-            missing = len(group) * variance - way @ covariance @ way
-            known[number] = replace(
-                loop,
-                relative=relative[number] + (shift + middle) * way,
-                information=np.linalg.inv(covariance + missing * np.outer(way, way)),
+            known = covariances[number] + (variance - variances[number]) * np.outer(way, way)
+            judged[number] = replace(
+                loops[number],
+                relative=relative[number] + shift * way,
+                information=np.asarray(np.linalg.inv(known)),
             )
-    return known
-
-
-_DEBUG = False
+    return judged
 
 
 @dataclass(frozen=True, eq=False)

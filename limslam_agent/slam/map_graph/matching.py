@@ -38,12 +38,15 @@ LEAST_POINTS = 20
 20 points is only e^5 = 150 times as likely as a fit in unknown cells, and a search compares
 thousands of poses.
 """
-FAR_CELLS = 60  # by which points are shifted to see how well a match is known
-_SHAPE = 3.0  # the square of half a range over the variance of a uniform distribution
+FAR_CELLS = 60
+"""Cells by which points are shifted to see how well a match is known."""
 _FALL = 3.0  # the loss of log-likelihood at a few standard deviations, as of a box beside a wall
-# share of the points that have to lie in known cells after a shift, to tell whether they fit there
-_SEEN = 1.0 / 3.0
-_UNKNOWN_STD = 30.0  # m, of a match along a direction in which nothing speaks against any shift
+SEEN = 1.0 / 3.0
+"""Share of the points that have to lie in known cells after a shift, to tell whether they fit
+there.
+"""
+UNKNOWN_STD = 30.0
+"""Standard deviation of a match along a direction in which nothing speaks against any shift, m."""
 
 
 class SearchGrid(NamedTuple):
@@ -142,19 +145,17 @@ def match_covariance(
     scores = _scores_around(grid, points, pose)
     weight = np.exp((scores - scores.max()) * len(points) * _SHARPNESS)
     weight /= weight.sum()
-    best = np.array([_AROUND_TURNS, _AROUND_CELLS, _AROUND_CELLS])
-    steps = np.moveaxis(np.indices(scores.shape), 0, -1) - best
+    middle = np.array([_AROUND_TURNS, _AROUND_CELLS, _AROUND_CELLS])
+    steps = np.moveaxis(np.indices(scores.shape), 0, -1) - middle
     offsets = (steps * [TURN_STEP, grid.cell, grid.cell])[..., [1, 2, 0]].reshape(-1, 3)
     mean = weight.ravel() @ offsets
     apart = offsets - mean
     pose = pose + mean
     covariance = (apart * weight.reshape(-1, 1)).T @ apart + np.diag(np.square(_FLOOR_STDS))
     along = least_known(covariance)
-    middle, variance = range_along(lost_along(grid, points, pose, backward, along), grid.cell)
-    missing = variance - along @ covariance @ along
-    if missing <= 0.0:
-        return pose, covariance
-    return pose + middle * along, covariance + missing * np.outer(along, along)
+    missing = variance_along(lost_along(grid, points, pose, backward, along), grid.cell)
+    missing -= along @ covariance @ along
+    return pose, covariance + max(missing, 0.0) * np.outer(along, along)
 
 
 def least_known(covariance: FloatArray) -> FloatArray:
@@ -201,23 +202,22 @@ def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatAr
     return np.array([(tells * (unshifted - cells)).sum(axis=0) / HIT, tells.sum(axis=0)])
 
 
-def range_along(both: FloatArray, cell: float) -> tuple[float, float]:
-    """Middle, m, and variance, m^2, of the shifts that fit, from the points that are lost, and those that tell, after shifts
-    (2 ``FAR_CELLS`` + 1,) to both sides.
+def variance_along(both: FloatArray, cell: float) -> float:
+    """Variance, m^2, from the points that are lost, and those that tell, after shifts
+    (2, 2 ``FAR_CELLS`` + 1) to both sides.
 
     Along equal rooms, the likelihood falls and rises again. All matches there have the same rivals,
     so together they tell no more than one of them.
     """
     lost, tells = both
     is_less = _SHARPNESS * lost >= _FALL
-    has_seen = tells >= _SEEN * tells[FAR_CELLS]
+    has_seen = tells >= SEEN * tells[FAR_CELLS]
     sides = (is_less & has_seen)[FAR_CELLS::-1], (is_less & has_seen)[FAR_CELLS:]
     falls = [int(np.argmax(side)) for side in sides]
     rivals = np.abs(np.flatnonzero(~is_less & has_seen) - FAR_CELLS)
     if not all(falls) or rivals.max() > max(falls):
-        return 0.0, _UNKNOWN_STD**2
-    low, high = falls
-    return 0.5 * cell * (high - low), (0.5 * cell * (high + low)) ** 2 / _SHAPE
+        return UNKNOWN_STD**2
+    return (cell * max(falls)) ** 2 / (2.0 * _FALL)
 
 
 @kernel

@@ -2,7 +2,7 @@
 
 The equations are those that gave the path. A stretch that no loop and no other visit holds is known
 as exactly as odometry and its links say. How good the
-odometry is follows from the path itself: its variances are estimated by expectation maximisation.
+odometry is follows from the path itself: its variances are estimated by their evidence.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ from limslam_agent.slam.map_graph.smoothing import bundle_graph
 from limslam_env.geometry import FloatArray
 
 _MOST = 60  # windows over which odometry is judged, and poses of a path that are judged
-_ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
-_ASSUMED = 0.2  # windows by which the assumed variances of odometry count
+_ITERATIONS = 3  # of the variances; where a path follows odometry alone, nothing changes
+_ASSUMED = 0.2  # windows that tell all, by which the assumed variances of odometry count
 _LEAST_STD = 1e-5  # of a constant error of odometry
 
 
@@ -106,9 +106,10 @@ def rigid_motions(positions: FloatArray) -> FloatArray:
 def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> FloatArray:
     """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
 
-    One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the
-    errors of odometry over two chunks, since they last for seconds, and their posterior variances
-    in the graph of the path.
+    The squares of the errors of odometry over two chunks, since they last for seconds, by what the
+    graph of the path tells of them: one less the share of the variance that remains (MacKay, 1992).
+    A window that tells nothing has no weight, so few steps are enough. The square root damps them,
+    since the path stays the same.
     """
     factors = odometry(keys, trajectory)
     errors = factors.errors

@@ -12,7 +12,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations
-from limslam_agent.slam.map_graph.agreement import known_together, supported, visit_counts
+from limslam_agent.slam.map_graph.agreement import judged_together, supported, visit_counts
 from limslam_agent.slam.map_graph.chunk_graph import (
     KEPT,
     KEPT_WEIGHT,
@@ -59,8 +59,8 @@ _SYNCHRONOUS = 0.02
 # How often the noise of odometry is learned, as long as its variance falls below this share
 _LEARNED = 3
 _BETTER = 0.5
-# How many variances of their estimates count in the priors of the constant errors: in the smoothing
-# an estimate has to exceed three standard deviations
+# How many variances of their estimates count in the priors of the constant errors: with none, an
+# estimate that is not evident shrinks towards zero
 _SHRUNK = 0.0
 _STATED = 1.0
 _CAUTION = 2.0  # of the variances of odometry alone, where they limit those of hops
@@ -225,7 +225,7 @@ def smooth_with_loops(
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
     solved, _ = solve_annealed(poses[0], hops, loops)
-    loops = known_together(loops, solved, chunks, maps)
+    loops = judged_together(loops, solved, chunks, maps)
     solved, weights = solve_annealed(poses[0], hops, loops)
     judged = [
         replace(loop, reason=KEPT if weight > KEPT_WEIGHT else OUTVOTED)
