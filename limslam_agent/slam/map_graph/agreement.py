@@ -54,8 +54,8 @@ def agree(predicted: FloatArray, found: FloatArray, apart: FloatArray | float = 
 def supported(
     loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, hop: float
 ) -> BoolArray:
-    """Which loops (k,) are supported by another nearby loop that agrees, is known about as well, and
-    belongs to another chunk.
+    """Which loops (k,) are supported by another nearby loop that agrees, is known about as well,
+    and belongs to another chunk.
 
     ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to
     each chunk, m, which is about a ``hop`` longer for each.
