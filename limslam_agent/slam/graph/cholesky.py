@@ -1,0 +1,319 @@
+"""Cholesky factors of sparse symmetric matrices, in blocks: the unknowns of a node are eliminated
+together.
+
+Each node has a panel: the columns of its unknowns, with the rows of all nodes that are coupled with
+it by then. The panels are found from the first to the last, each from those before it.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import splu
+
+from limslam_env.compilation import entry_of
+from limslam_env.geometry import FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
+
+
+class Panels(NamedTuple):
+    """Where the entries of a factor are. Its n nodes are numbered in the order of elimination."""
+
+    starts: IntArray  # the first unknown (n + 1,) of each node
+    # firsts, rows: where each panel begins (n + 1,) among the nodes (r,) of all rows: its own node,
+    # and then the later ones in ascending order
+    firsts: IntArray
+    rows: IntArray
+    places: IntArray  # the first row (r,) of each of these nodes in its panel
+    # tops, unknowns: the same for the unknowns (u,) of all rows
+    tops: IntArray
+    unknowns: IntArray
+    begins: IntArray  # where the entries of each panel begin (n + 1,), column after column
+
+
+def panels(rows: IntArray, columns: IntArray, widths: IntArray) -> Panels:
+    """The panels for nodes with so many unknowns (n,), of which pairs (e,) are coupled. Pairs with
+    a row of n or more are left out.
+    """
+    firsts, found = _filled(*_coupled(rows, columns, len(widths)))
+    starts = np.append(0, np.cumsum(widths))
+    wide = widths[found]
+    before = np.append(0, np.cumsum(wide))
+    tops = before[firsts]
+    heights = np.diff(tops)
+    places = before[:-1] - np.repeat(tops[:-1], np.diff(firsts))
+    unknowns = np.arange(before[-1]) + np.repeat(starts[found] - before[:-1], wide)
+    begins = np.append(0, np.cumsum(heights * widths))
+    return Panels(starts, firsts, found, places, tops, unknowns, begins)
+
+
+def sparse_order(rows: IntArray, columns: IntArray, count: int) -> IntArray:
+    """The nodes (n,) in an order of elimination that leaves few couplings, by minimum degree.
+
+    scipy gives the order with the factors of a matrix. Half of the couplings are enough for it.
+    """
+    firsts, coupled = _coupled(rows, columns, count)
+    matrix = csc_matrix((np.ones(len(coupled)), coupled, firsts), shape=(count, count))
+    order: Literal["MMD_AT_PLUS_A"] = "MMD_AT_PLUS_A"
+    found = splu(matrix, order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    return np.argsort(found.perm_c)
+
+
+@kernel
+def _sorted(keys: IntArray, entries: IntArray, count: int) -> tuple[IntArray, IntArray]:
+    """Those of the entries whose keys are below a number, sorted by their keys, equal ones in the
+    same order; and where each key begins (count + 1,).
+    """
+    ends = np.zeros(count + 1, np.int64)
+    for entry in entries:
+        if keys[entry] < count:
+            ends[keys[entry] + 1] += 1
+    ends = np.cumsum(ends)
+    firsts = ends.copy()
+    found = np.empty(firsts[count], np.int64)
+    for entry in entries:
+        if keys[entry] < count:
+            found[ends[keys[entry]]] = entry
+            ends[keys[entry]] += 1
+    return found, firsts
+
+
+@kernel
+def _coupled(rows: IntArray, columns: IntArray, count: int) -> tuple[IntArray, IntArray]:
+    """Where each column begins (count + 1,), and its rows in ascending order, each of them once, by
+    entries (e,). Entries with a row of ``count`` or more are left out.
+
+    Sorting by counting is faster than by comparisons.
+    """
+    by_row, _ = _sorted(rows, np.arange(len(rows)), count)
+    order, begins = _sorted(columns, by_row, count)
+    found = np.empty(len(order), np.int64)
+    firsts = np.zeros(count + 1, np.int64)
+    size = 0
+    for column in range(count):
+        before = -1
+        for entry in order[begins[column] : begins[column + 1]]:
+            if rows[entry] != before:
+                before = rows[entry]
+                found[size] = before
+                size += 1
+        firsts[column + 1] = size
+    return firsts, found[:size].copy()
+
+
+@kernel
+def _merged(one: IntArray, two: IntArray, out: IntArray) -> int:
+    """Set the first numbers to those of two ascending lists, and return how many they are."""
+    i = j = size = 0
+    while i < len(one) or j < len(two):
+        if j == len(two) or (i < len(one) and one[i] <= two[j]):
+            if j < len(two) and one[i] == two[j]:
+                j += 1
+            out[size] = one[i]
+            i += 1
+        else:
+            out[size] = two[j]
+            j += 1
+        size += 1
+    return size
+
+
+@kernel
+def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
+    """The columns of a factor, as those of its matrix. An elimination couples all nodes that its
+    node was coupled with.
+    """
+    count = len(firsts) - 1
+    found = np.empty(2 * len(rows) + count, np.int64)
+    ends = np.zeros(count + 1, np.int64)
+    child = np.full(count, -1)
+    sibling = np.full(count, -1)
+    one = np.empty(count, np.int64)
+    two = np.empty(count, np.int64)
+    for node in range(count):
+        size = firsts[node + 1] - firsts[node]
+        one[:size] = rows[firsts[node] : firsts[node + 1]]
+        each = child[node]
+        while each >= 0:
+            size = _merged(one[:size], found[ends[each] + 1 : ends[each + 1]], two)
+            one, two = two, one
+            each = sibling[each]
+        begin = ends[node]
+        if begin + size > len(found):
+            found = np.append(found, np.empty(len(found) + size, np.int64))
+        found[begin : begin + size] = one[:size]
+        ends[node + 1] = begin + size
+        if size > 1:
+            sibling[node] = child[one[1]]
+            child[one[1]] = node
+    return ends, found[: ends[count]].copy()
+
+
+@kernel
+def add_blocks(
+    at: Panels, nodes: IntArray, widths: IntArray, hessians: FloatArray, values: FloatArray
+) -> None:
+    """Add the matrices (f, q, q) of factors of nodes (f, m) with so many unknowns (m,) to the
+    entries of a matrix. Nodes that are not below n are fixed.
+    """
+    count = len(at.begins) - 1
+    for number in range(len(nodes)):
+        right = 0
+        for j in range(len(widths)):
+            column = nodes[number, j]
+            low = 0
+            for i in range(len(widths)):
+                row = nodes[number, i]
+                if column <= row < count:
+                    first = at.firsts[column]
+                    coupled = at.rows[first : at.firsts[column + 1]]
+                    place = at.places[first + np.searchsorted(coupled, row)]
+                    height = (at.begins[column + 1] - at.begins[column]) // widths[j]
+                    for b in range(widths[j]):
+                        begin = at.begins[column] + b * height + place
+                        for a in range(widths[i]):
+                            values[begin + a] += hessians[number, low + a, right + b]
+                low += widths[i]
+            right += widths[j]
+
+
+@kernel
+def factorise(at: Panels, values: FloatArray) -> bool:
+    """Replace the entries of a matrix by those of its factor. Returns whether it is positive
+    definite.
+    """
+    count = len(at.begins) - 1
+    # Of each panel: the entry of the next one that it changes, and the next panel that changes it
+    by = at.firsts[:-1].copy()
+    first = np.full(count, -1)
+    following = np.full(count, -1)
+    place_of = np.empty(at.starts[count], np.int64)
+    sums = np.empty(at.starts[count])
+    for node in range(count):
+        wide = at.starts[node + 1] - at.starts[node]
+        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
+        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
+        for i in range(len(rows)):
+            place_of[rows[i]] = i
+        other = first[node]
+        while other >= 0:
+            after = following[other]
+            low = at.places[by[other]]
+            earlier = values[at.begins[other] : at.begins[other + 1]]
+            earlier = earlier.reshape(at.starts[other + 1] - at.starts[other], -1)
+            rows = at.unknowns[at.tops[other] + low : at.tops[other + 1]]
+            _subtract(earlier[:, low:], place_of[rows], sums[: len(rows)], panel)
+            _wait(at, other, by, first, following)
+            other = after
+        for column in range(wide):
+            own = panel[column]
+            if not own[column] > 0.0:
+                return False
+            own[column:] /= np.sqrt(own[column])
+            for k in range(column + 1, wide):
+                panel[k, k:] -= own[k] * own[k:]
+        _wait(at, node, by, first, following)
+    return True
+
+
+@kernel
+def _subtract(earlier: FloatArray, places: IntArray, total: FloatArray, panel: FloatArray) -> None:
+    """Subtract what an earlier panel (k, r), from the rows of a panel on, adds to its rows (r,)."""
+    for column in range(len(panel)):
+        total[:] = 0.0
+        for k in range(len(earlier)):
+            share = earlier[k, column]
+            part = earlier[k]
+            for i in range(len(total)):
+                total[i] += share * part[i]
+        own = panel[column]
+        for i in range(len(total)):
+            own[places[i]] -= total[i]
+
+
+@kernel
+def _wait(at: Panels, node: int, by: IntArray, first: IntArray, following: IntArray) -> None:
+    """Let a panel wait for the next one that it changes."""
+    by[node] += 1
+    if by[node] < at.firsts[node + 1]:
+        row = at.rows[by[node]]
+        following[node] = first[row]
+        first[row] = node
+
+
+@kernel
+def forward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
+    """Divide right sides (q, k) by a factor from the left, in place."""
+    for node in range(len(at.begins) - 1):
+        wide = at.starts[node + 1] - at.starts[node]
+        if not right[at.starts[node] : at.starts[node + 1]].any():
+            continue
+        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
+        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
+        for column in range(wide):
+            own = right[rows[column]]
+            own /= panel[column, column]
+            for i in range(column + 1, len(rows)):
+                share = panel[column, i]
+                other = right[rows[i]]
+                for k in range(len(other)):
+                    other[k] -= share * own[k]
+    return right
+
+
+@kernel
+def backward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
+    """Divide a right side (q,) by the transpose of a factor from the left, in place."""
+    for node in range(len(at.begins) - 2, -1, -1):
+        wide = at.starts[node + 1] - at.starts[node]
+        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
+        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
+        for column in range(wide - 1, -1, -1):
+            total = right[rows[column]]
+            for i in range(column + 1, len(rows)):
+                total -= panel[column, i] * right[rows[i]]
+            right[rows[column]] = total / panel[column, column]
+    return right
+
+
+@kernel
+def selected_inverse(at: Panels, values: FloatArray) -> FloatArray:
+    """Entries of (L D L^T)^-1 where L has entries, from the last column to the first.
+
+    K. Takahashi, J. Fagan and M. Chin, "Formation of a sparse bus impedance matrix and its
+    application to short circuit study", 1973: z_ij = -sum over k of z_ik l_kj for i > j, and z_jj =
+    1 / d_j - sum over k of z_kj l_kj.
+    """
+    inverse = np.zeros_like(values)
+    own = np.zeros(at.starts[-1])
+    total = np.zeros(at.starts[-1])
+    for node in range(len(at.begins) - 2, -1, -1):
+        wide = at.starts[node + 1] - at.starts[node]
+        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
+        out = inverse[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
+        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
+        for column in range(wide - 1, -1, -1):
+            pivot = panel[column, column]
+            for i in range(column + 1, len(rows)):
+                own[rows[i]] = panel[column, i] / pivot
+                total[rows[i]] = 0.0
+            for entry in range(at.firsts[node], at.firsts[node + 1]):
+                after = at.rows[entry]
+                known = inverse[at.begins[after] : at.begins[after + 1]]
+                known = known.reshape(at.starts[after + 1] - at.starts[after], -1)
+                coupled = at.unknowns[at.tops[after] : at.tops[after + 1]]
+                for j in range(column + 1 if after == node else 0, len(known)):
+                    unknown = coupled[j]
+                    total[unknown] += known[j, j] * own[unknown]
+                    for i in range(j + 1, len(coupled)):
+                        total[coupled[i]] += known[j, i] * own[unknown]
+                        total[unknown] += known[j, i] * own[coupled[i]]
+            out[column, column] = 1.0 / pivot**2
+            for i in range(column + 1, len(rows)):
+                out[column, i] = -total[rows[i]]
+                out[column, column] += total[rows[i]] * own[rows[i]]
+            for i in range(column + 1, len(rows)):
+                own[rows[i]] = 0.0
+    return inverse
