@@ -1,8 +1,7 @@
-"""Cholesky factors of sparse symmetric matrices, in blocks: the unknowns of a node are eliminated
-together.
+"""Cholesky factors of sparse symmetric matrices, in panels.
 
-Each node has a panel: the columns of its unknowns, with the rows of all nodes that are coupled with
-it by then. The panels are found from the first to the last, each from those before it.
+A panel has the columns of successive nodes that are coupled with the same later nodes, and the rows
+of all of these. The panels are found from the first to the last, each from those before it.
 """
 
 from typing import Literal, NamedTuple
@@ -22,31 +21,43 @@ class Panels(NamedTuple):
     """Where the entries of a factor are. Its n nodes are numbered in the order of elimination."""
 
     starts: IntArray  # the first unknown (n + 1,) of each node
-    # firsts, rows: where each panel begins (n + 1,) among the nodes (r,) of all rows: its own node,
-    # and then the later ones in ascending order
+    # owners, nodes: the panel (n,) of each node, and the first node (p + 1,) of each panel
+    owners: IntArray
+    nodes: IntArray
+    # firsts, rows: where each panel begins (p + 1,) among the nodes (r,) of all rows, which ascend
+    # from its own ones
     firsts: IntArray
     rows: IntArray
     places: IntArray  # the first row (r,) of each of these nodes in its panel
     # tops, unknowns: the same for the unknowns (u,) of all rows
     tops: IntArray
     unknowns: IntArray
-    begins: IntArray  # where the entries of each panel begin (n + 1,), column after column
+    begins: IntArray  # where the entries of each panel begin (p + 1,), column after column
 
 
 def panels(rows: IntArray, columns: IntArray, widths: IntArray) -> Panels:
     """The panels for nodes with so many unknowns (n,), of which pairs (e,) are coupled. Pairs with
     a row of n or more are left out.
     """
-    firsts, found = _filled(*_coupled(rows, columns, len(widths)))
+    count = len(widths)
+    firsts, found = _filled(*_coupled(rows, columns, count))
     starts = np.append(0, np.cumsum(widths))
+    sizes = np.diff(firsts)
+    is_first = np.ones(count, dtype=np.bool_)
+    following = found[firsts[:-2] + 1] == np.arange(1, count)
+    is_first[1:] = (sizes[1:] != sizes[:-1] - 1) | ~following
+    nodes = np.append(np.flatnonzero(is_first), count)
+    found = found[np.repeat(is_first, sizes)]
+    sizes = sizes[is_first]
     wide = widths[found]
     before = np.append(0, np.cumsum(wide))
+    firsts = np.append(0, np.cumsum(sizes))
     tops = before[firsts]
-    heights = np.diff(tops)
-    places = before[:-1] - np.repeat(tops[:-1], np.diff(firsts))
+    places = before[:-1] - np.repeat(tops[:-1], sizes)
     unknowns = np.arange(before[-1]) + np.repeat(starts[found] - before[:-1], wide)
-    begins = np.append(0, np.cumsum(heights * widths))
-    return Panels(starts, firsts, found, places, tops, unknowns, begins)
+    begins = np.append(0, np.cumsum(np.diff(tops) * np.diff(starts[nodes])))
+    owners = np.cumsum(is_first) - 1
+    return Panels(starts, owners, nodes, firsts, found, places, tops, unknowns, begins)
 
 
 def sparse_order(rows: IntArray, columns: IntArray, count: int) -> IntArray:
@@ -152,13 +163,20 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
 
 
 @kernel
+def _panel(at: Panels, number: int, values: FloatArray) -> tuple[FloatArray, IntArray]:
+    """The entries (columns, rows) of a panel, and the unknowns of its rows."""
+    rows = at.unknowns[at.tops[number] : at.tops[number + 1]]
+    return values[at.begins[number] : at.begins[number + 1]].reshape(-1, len(rows)), rows
+
+
+@kernel
 def add_blocks(
     at: Panels, nodes: IntArray, widths: IntArray, hessians: FloatArray, values: FloatArray
 ) -> None:
     """Add the matrices (f, q, q) of factors of nodes (f, m) with so many unknowns (m,) to the
     entries of a matrix. Nodes that are not below n are fixed.
     """
-    count = len(at.begins) - 1
+    count = len(at.owners)
     for number in range(len(nodes)):
         right = 0
         for j in range(len(widths)):
@@ -167,14 +185,17 @@ def add_blocks(
             for i in range(len(widths)):
                 row = nodes[number, i]
                 if column <= row < count:
-                    first = at.firsts[column]
-                    coupled = at.rows[first : at.firsts[column + 1]]
+                    owner = at.owners[column]
+                    first = at.firsts[owner]
+                    coupled = at.rows[first : at.firsts[owner + 1]]
                     place = at.places[first + np.searchsorted(coupled, row)]
-                    height = (at.begins[column + 1] - at.begins[column]) // widths[j]
+                    height = at.tops[owner + 1] - at.tops[owner]
+                    begin = at.starts[column] - at.starts[at.nodes[owner]]
+                    begin = at.begins[owner] + begin * height + place
                     for b in range(widths[j]):
-                        begin = at.begins[column] + b * height + place
                         for a in range(widths[i]):
                             values[begin + a] += hessians[number, low + a, right + b]
+                        begin += height
                 low += widths[i]
             right += widths[j]
 
@@ -185,74 +206,90 @@ def factorise(at: Panels, values: FloatArray) -> bool:
     definite.
     """
     count = len(at.begins) - 1
-    # Of each panel: the entry of the next one that it changes, and the next panel that changes it
+    # Of each panel: the entry of the next node that it changes, and the next panel that changes the
+    # same one
     by = at.firsts[:-1].copy()
     first = np.full(count, -1)
     following = np.full(count, -1)
-    place_of = np.empty(at.starts[count], np.int64)
-    sums = np.empty(at.starts[count])
-    for node in range(count):
-        wide = at.starts[node + 1] - at.starts[node]
-        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
-        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
+    place_of = np.empty(at.starts[-1], np.int64)
+    sums = np.empty(at.starts[-1])
+    for number in range(count):
+        panel, rows = _panel(at, number, values)
         for i in range(len(rows)):
             place_of[rows[i]] = i
-        other = first[node]
+        other = first[number]
         while other >= 0:
             after = following[other]
+            earlier, rows = _panel(at, other, values)
             low = at.places[by[other]]
-            earlier = values[at.begins[other] : at.begins[other + 1]]
-            earlier = earlier.reshape(at.starts[other + 1] - at.starts[other], -1)
-            rows = at.unknowns[at.tops[other] + low : at.tops[other + 1]]
-            _subtract(earlier[:, low:], place_of[rows], sums[: len(rows)], panel)
-            _wait(at, other, by, first, following)
+            end = at.starts[at.nodes[number + 1]]
+            _subtract(earlier[:, low:], rows[low:], end, place_of, sums, panel)
+            _wait(at, other, number + 1, by, first, following)
             other = after
-        for column in range(wide):
+        for column in range(len(panel)):
             own = panel[column]
             if not own[column] > 0.0:
                 return False
-            own[column:] /= np.sqrt(own[column])
-            for k in range(column + 1, wide):
-                panel[k, k:] -= own[k] * own[k:]
-        _wait(at, node, by, first, following)
+            root = np.sqrt(own[column])
+            for i in range(column, len(own)):
+                own[i] /= root
+            for k in range(column + 1, len(panel)):
+                share = own[k]
+                later = panel[k]
+                for i in range(k, len(own)):
+                    later[i] -= share * own[i]
+        _wait(at, number, number + 1, by, first, following)
     return True
 
 
 @kernel
-def _subtract(earlier: FloatArray, places: IntArray, total: FloatArray, panel: FloatArray) -> None:
-    """Subtract what an earlier panel (k, r), from the rows of a panel on, adds to its rows (r,)."""
-    for column in range(len(panel)):
+def _subtract(
+    earlier: FloatArray,
+    rows: IntArray,
+    end: int,
+    place_of: IntArray,
+    sums: FloatArray,
+    panel: FloatArray,
+) -> None:
+    """Subtract what the rows (r,) of an earlier panel (k, r) add to those of a panel, whose
+    unknowns are below ``end``.
+    """
+    for column in range(len(rows)):
+        if rows[column] >= end:
+            break
+        total = sums[column : len(rows)]
         total[:] = 0.0
         for k in range(len(earlier)):
             share = earlier[k, column]
-            part = earlier[k]
+            part = earlier[k, column:]
             for i in range(len(total)):
                 total[i] += share * part[i]
-        own = panel[column]
+        own = panel[place_of[rows[column]]]
         for i in range(len(total)):
-            own[places[i]] -= total[i]
+            own[place_of[rows[column + i]]] -= total[i]
 
 
 @kernel
-def _wait(at: Panels, node: int, by: IntArray, first: IntArray, following: IntArray) -> None:
-    """Let a panel wait for the next one that it changes."""
-    by[node] += 1
-    if by[node] < at.firsts[node + 1]:
-        row = at.rows[by[node]]
-        following[node] = first[row]
-        first[row] = node
+def _wait(
+    at: Panels, number: int, before: int, by: IntArray, first: IntArray, following: IntArray
+) -> None:
+    """Let a panel wait for the next one that it changes, which is not ``before`` a panel."""
+    while by[number] < at.firsts[number + 1] and at.rows[by[number]] < at.nodes[before]:
+        by[number] += 1
+    if by[number] < at.firsts[number + 1]:
+        owner = at.owners[at.rows[by[number]]]
+        following[number] = first[owner]
+        first[owner] = number
 
 
 @kernel
 def forward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
     """Divide right sides (q, k) by a factor from the left, in place."""
-    for node in range(len(at.begins) - 1):
-        wide = at.starts[node + 1] - at.starts[node]
-        if not right[at.starts[node] : at.starts[node + 1]].any():
+    for number in range(len(at.begins) - 1):
+        panel, rows = _panel(at, number, values)
+        if not right[rows[0] : rows[0] + len(panel)].any():
             continue
-        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
-        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
-        for column in range(wide):
+        for column in range(len(panel)):
             own = right[rows[column]]
             own /= panel[column, column]
             for i in range(column + 1, len(rows)):
@@ -266,11 +303,9 @@ def forward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
 @kernel
 def backward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
     """Divide a right side (q,) by the transpose of a factor from the left, in place."""
-    for node in range(len(at.begins) - 2, -1, -1):
-        wide = at.starts[node + 1] - at.starts[node]
-        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
-        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
-        for column in range(wide - 1, -1, -1):
+    for number in range(len(at.begins) - 2, -1, -1):
+        panel, rows = _panel(at, number, values)
+        for column in range(len(panel) - 1, -1, -1):
             total = right[rows[column]]
             for i in range(column + 1, len(rows)):
                 total -= panel[column, i] * right[rows[i]]
@@ -289,23 +324,19 @@ def selected_inverse(at: Panels, values: FloatArray) -> FloatArray:
     inverse = np.zeros_like(values)
     own = np.zeros(at.starts[-1])
     total = np.zeros(at.starts[-1])
-    for node in range(len(at.begins) - 2, -1, -1):
-        wide = at.starts[node + 1] - at.starts[node]
-        panel = values[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
-        out = inverse[at.begins[node] : at.begins[node + 1]].reshape(wide, -1)
-        rows = at.unknowns[at.tops[node] : at.tops[node + 1]]
-        for column in range(wide - 1, -1, -1):
+    for number in range(len(at.begins) - 2, -1, -1):
+        panel, rows = _panel(at, number, values)
+        out, _ = _panel(at, number, inverse)
+        for column in range(len(panel) - 1, -1, -1):
             pivot = panel[column, column]
             for i in range(column + 1, len(rows)):
                 own[rows[i]] = panel[column, i] / pivot
                 total[rows[i]] = 0.0
-            for entry in range(at.firsts[node], at.firsts[node + 1]):
-                after = at.rows[entry]
-                known = inverse[at.begins[after] : at.begins[after + 1]]
-                known = known.reshape(at.starts[after + 1] - at.starts[after], -1)
-                coupled = at.unknowns[at.tops[after] : at.tops[after + 1]]
-                for j in range(column + 1 if after == node else 0, len(known)):
-                    unknown = coupled[j]
+            for entry in range(at.firsts[number], at.firsts[number + 1]):
+                node = at.rows[entry]
+                known, coupled = _panel(at, at.owners[node], inverse)
+                for unknown in range(max(at.starts[node], rows[column] + 1), at.starts[node + 1]):
+                    j = unknown - coupled[0]
                     total[unknown] += known[j, j] * own[unknown]
                     for i in range(j + 1, len(coupled)):
                         total[coupled[i]] += known[j, i] * own[unknown]
@@ -314,6 +345,5 @@ def selected_inverse(at: Panels, values: FloatArray) -> FloatArray:
             for i in range(column + 1, len(rows)):
                 out[column, i] = -total[rows[i]]
                 out[column, column] += total[rows[i]] * own[rows[i]]
-            for i in range(column + 1, len(rows)):
                 own[rows[i]] = 0.0
     return inverse

@@ -133,7 +133,8 @@ class Graph:
 
     def clear(self) -> None:
         """Remove all factors. Factors of the same nodes have to be added again, in the same order:
-        the sparsity of the matrix is found once for all of them.
+        the sparsity of the matrix is found once for all of them. After a solution, no others can be
+        added before.
         """
         self.gradient = np.zeros(self.nodes.size)
         self._hessians = list[FloatArray]()
@@ -200,6 +201,7 @@ class Graph:
             for numbers, hessian in zip(self._numbers, self._hessians, strict=True):
                 widths = self.nodes.widths[numbers[0]]
                 cholesky.add_blocks(panels, self._ranks[numbers], widths, hessian, self._factor)
+            self._hessians.clear()
             if not cholesky.factorise(panels, self._factor):
                 raise DegenerateError("the factors do not determine the unknowns")
         return panels, self._factor
@@ -238,10 +240,12 @@ class Graph:
         """Joint covariance (count, count) of the last unknowns of an order, all of which are
         coupled to each other.
         """
-        last = np.zeros((self.nodes.size, count))
-        last[self._free[-count:], np.arange(count)] = 1.0
-        white = self.whitened(last)[-count:]
-        return np.asarray(white.T @ white)
+        panels, factor = self.factorise()
+        # What is coupled to each other and to nothing later is one panel.
+        height = panels.tops[-1] - panels.tops[-2]
+        last = factor[panels.begins[-2] :].reshape(-1, height)[-count:, -count:]
+        inverse = np.linalg.inv(np.triu(last))
+        return np.asarray(inverse @ inverse.T)
 
     def marginals(self, kind: str) -> FloatArray:
         """Covariances (count, width, width) of all nodes of a kind; 0 where they are fixed."""
@@ -249,14 +253,14 @@ class Graph:
         inverse = cholesky.selected_inverse(panels, factor)
         columns = self.nodes.columns(kind)
         ranks = self._ranks[self.nodes.owners[columns[:, 0]]]
-        is_free = ranks < len(panels.begins) - 1
-        ranks = ranks[is_free]
-        steps = np.arange(columns.shape[1])
-        low = np.minimum(*np.meshgrid(steps, steps))
-        heights = np.diff(panels.tops)[ranks, None, None]
+        is_free = ranks < len(panels.owners)
+        ranks = ranks[is_free, None, None]
+        owners = panels.owners[ranks]
+        low, high = np.sort(np.indices((columns.shape[1],) * 2), axis=0)
+        begin = panels.starts[ranks] - panels.starts[panels.nodes[owners]]
+        places = (begin + low) * np.diff(panels.tops)[owners] + begin + high
         covariances = np.zeros((*columns.shape, columns.shape[1]))
-        places = low * heights + np.maximum(*np.meshgrid(steps, steps))
-        covariances[is_free] = inverse[panels.begins[ranks, None, None] + places]
+        covariances[is_free] = inverse[panels.begins[owners] + places]
         return covariances
 
     def _found_panels(self) -> cholesky.Panels:

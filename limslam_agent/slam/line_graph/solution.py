@@ -25,7 +25,7 @@ _CHOOSING = 2
 CONVERGED = 1e-3
 """The last step of a solution, m or rad. What remains is of the order of its square."""
 
-_BLOCK = 150  # poses of a block, about
+_BLOCK = 50  # poses of a block, about
 
 
 @dataclass(frozen=True, eq=False)
