@@ -35,12 +35,12 @@ class Panels(NamedTuple):
     begins: IntArray  # where the entries of each panel begin (p + 1,), column after column
 
 
-def panels(rows: IntArray, columns: IntArray, widths: IntArray) -> Panels:
-    """The panels for nodes with so many unknowns (n,), of which pairs (e,) are coupled. Pairs with
-    a row of n or more are left out.
+def panels(coupled: csc_matrix, widths: IntArray) -> Panels:
+    """The panels for nodes with so many unknowns (n,), with the lower half of a matrix (n, n) of
+    those that are coupled.
     """
     count = len(widths)
-    firsts, found = _filled(*_coupled(rows, columns, count))
+    firsts, found = _filled(coupled.indptr, coupled.indices)
     starts = np.append(0, np.cumsum(widths))
     sizes = np.diff(firsts)
     is_first = np.ones(count, dtype=np.bool_)
@@ -60,75 +60,14 @@ def panels(rows: IntArray, columns: IntArray, widths: IntArray) -> Panels:
     return Panels(starts, owners, nodes, firsts, found, places, tops, unknowns, begins)
 
 
-def sparse_order(rows: IntArray, columns: IntArray, count: int) -> IntArray:
+def sparse_order(coupled: csc_matrix) -> IntArray:
     """The nodes (n,) in an order of elimination that leaves few couplings, by minimum degree.
 
     scipy gives the order with the factors of a matrix. Half of the couplings are enough for it.
     """
-    firsts, coupled = _coupled(rows, columns, count)
-    matrix = csc_matrix((np.ones(len(coupled)), coupled, firsts), shape=(count, count))
     order: Literal["MMD_AT_PLUS_A"] = "MMD_AT_PLUS_A"
-    found = splu(matrix, order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    found = splu(coupled, order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     return np.argsort(found.perm_c)
-
-
-@kernel
-def _sorted(keys: IntArray, entries: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Those of the entries whose keys are below a number, sorted by their keys, equal ones in the
-    same order; and where each key begins (count + 1,).
-    """
-    ends = np.zeros(count + 1, np.int64)
-    for entry in entries:
-        if keys[entry] < count:
-            ends[keys[entry] + 1] += 1
-    ends = np.cumsum(ends)
-    firsts = ends.copy()
-    found = np.empty(firsts[count], np.int64)
-    for entry in entries:
-        if keys[entry] < count:
-            found[ends[keys[entry]]] = entry
-            ends[keys[entry]] += 1
-    return found, firsts
-
-
-@kernel
-def _coupled(rows: IntArray, columns: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Where each column begins (count + 1,), and its rows in ascending order, each of them once, by
-    entries (e,). Entries with a row of ``count`` or more are left out.
-
-    Sorting by counting is faster than by comparisons.
-    """
-    by_row, _ = _sorted(rows, np.arange(len(rows)), count)
-    order, begins = _sorted(columns, by_row, count)
-    found = np.empty(len(order), np.int64)
-    firsts = np.zeros(count + 1, np.int64)
-    size = 0
-    for column in range(count):
-        before = -1
-        for entry in order[begins[column] : begins[column + 1]]:
-            if rows[entry] != before:
-                before = rows[entry]
-                found[size] = before
-                size += 1
-        firsts[column + 1] = size
-    return firsts, found[:size].copy()
-
-
-@kernel
-def _merged(one: IntArray, two: IntArray, out: IntArray) -> int:
-    """Set the first numbers to those of two ascending lists, and return how many they are."""
-    i = j = size = 0
-    while i < len(one) or j < len(two):
-        if j == len(two) or (i < len(one) and one[i] <= two[j]):
-            if j < len(two) and one[i] == two[j]:
-                j += 1
-            out[size] = one[i]
-            i += 1
-        else:
-            out[size] = two[j]
-            j += 1
-        size += 1
-    return size
 
 
 @kernel
@@ -141,24 +80,30 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
     ends = np.zeros(count + 1, np.int64)
     child = np.full(count, -1)
     sibling = np.full(count, -1)
-    one = np.empty(count, np.int64)
-    two = np.empty(count, np.int64)
+    seen = np.full(count, -1)
     for node in range(count):
-        size = firsts[node + 1] - firsts[node]
-        one[:size] = rows[firsts[node] : firsts[node + 1]]
+        begin = end = ends[node]
+        if begin + count > len(found):
+            found = np.append(found, np.empty(len(found) + count, np.int64))
+        for row in rows[firsts[node] : firsts[node + 1]]:
+            seen[row] = node
+            found[end] = row
+            end += 1
+        own = end
         each = child[node]
         while each >= 0:
-            size = _merged(one[:size], found[ends[each] + 1 : ends[each + 1]], two)
-            one, two = two, one
+            for row in found[ends[each] + 1 : ends[each + 1]]:
+                if seen[row] < node:
+                    seen[row] = node
+                    found[end] = row
+                    end += 1
             each = sibling[each]
-        begin = ends[node]
-        if begin + size > len(found):
-            found = np.append(found, np.empty(len(found) + size, np.int64))
-        found[begin : begin + size] = one[:size]
-        ends[node + 1] = begin + size
-        if size > 1:
-            sibling[node] = child[one[1]]
-            child[one[1]] = node
+        if end > own:
+            found[begin:end].sort()
+        ends[node + 1] = end
+        if end > begin + 1:
+            sibling[node] = child[found[begin + 1]]
+            child[found[begin + 1]] = node
     return ends, found[: ends[count]].copy()
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from limslam_agent.slam.graph import cholesky
 from limslam_env.compilation import entry_of
@@ -271,22 +272,28 @@ class Graph:
         order = self._order
         if order is None:
             self._ranks[1:] = np.arange(count - 1)
-            order = 1 + cholesky.sparse_order(*self._pairs(), count - 1)
+            order = 1 + cholesky.sparse_order(self._coupled(count - 1))
         self._ranks[order] = np.arange(len(order))
         # The unknowns of nodes that are fixed come last.
         self._free = np.argsort(self._ranks[nodes.owners], kind="stable")
-        self._panels = cholesky.panels(*self._pairs(), nodes.widths[order])
+        self._panels = cholesky.panels(self._coupled(len(order)), nodes.widths[order])
         self._free = self._free[: self._panels.starts[-1]]
         return self._panels
 
-    def _pairs(self) -> tuple[IntArray, IntArray]:
-        """The places of all pairs of nodes that share a factor, the later one first."""
-        later, earlier = [], []
-        for numbers in self._numbers:
-            one, two = self._ranks[numbers][:, np.tril_indices(numbers.shape[1])].transpose(1, 0, 2)
-            later.append(np.maximum(one, two).ravel())
-            earlier.append(np.minimum(one, two).ravel())
-        return np.concatenate(later), np.concatenate(earlier)
+    def _coupled(self, count: int) -> csc_matrix:
+        """The lower half of a matrix (count, count) that has an entry for each pair of nodes that
+        share a factor.
+        """
+        pairs = [
+            np.sort(self._ranks[numbers][:, np.tril_indices(numbers.shape[1])], axis=1)
+            .transpose(1, 0, 2)
+            .reshape(2, -1)
+            for numbers in self._numbers
+        ]
+        columns, rows = np.hstack(pairs)
+        free = rows < count
+        entries = (np.ones(np.count_nonzero(free)), (rows[free], columns[free]))
+        return csc_matrix(entries, shape=(count, count))
 
 
 @kernel
