@@ -239,7 +239,7 @@ def _seen(log: RecordedLog) -> tuple[FloatArray, float]:
 
 def _why_no_walls(replay: Replay) -> str:
     log = replay.log
-    _, share = _seen(log)
+    seen, share = _seen(log)
     driven = float(np.hypot(*np.diff(replay.odometry[:, :2], axis=0).T).sum())
     if math.isnan(share):
         return "the log has no readings"
@@ -247,7 +247,8 @@ def _why_no_walls(replay: Replay) -> str:
         return "almost no reading saw anything"
     if not (log.ranges[log.has_scan] > log.robot.too_near).any():
         return (
-            "all readings are the shortest ones: are the sensors connected, and what does 0 mean?"
+            f"no reading is longer than {seen.max():.2g} m, which is too near: are the sensors "
+            "connected, what does 0 mean, and are the ranges in metres? --range-unit converts"
         )
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"

@@ -91,6 +91,7 @@ def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(
         ({"step": 0.00002}, "drove only 0.00 m by odometry. Is the odometry in metres?"),
         ({"beams": (0, 180)}, "no beam looks to the left or the right"),
         ({"right": "nan", "left": "nan"}, "the log has no readings"),
+        ({"right": "0.0008", "left": "0.0029"}, "are the ranges in metres? --range-unit converts"),
     ],
 )
 def test_a_map_without_walls_is_explained(tmp_path, changes, words):
