@@ -108,6 +108,7 @@ _NOT_MEASURED = words_in(
     "covariance std var seq id rssi true truth gt mocap vicon acc accel acceleration pitch roll "
     "mag dt loop period valid"
 )
+_TURNING = words_in("servo pan turret")
 _CLOCK = words_in("t time stamp timestamp datetime clock uptime elapsed")
 _SENSOR = words_in(
     "r range ranges dist distance tof flight us uss sonar ultrasonic ultrasound ir lidar laser "
@@ -119,7 +120,7 @@ _MINUS = {"m", "minus", "neg"}
 _LEFT = {"left", "l", "lft"}
 _RIGHT = {"right", "r", "rgt"}
 _SPEED = words_in("speed vel velocity v")
-_ROTATION = words_in("w omega angular rotational")
+_ROTATION = words_in("w omega angular rotational rpm")
 _TICKS = words_in("enc encoder encoders counter") | words_in(_SPELLINGS["ticks"]) | {"ticks"}
 _WHEEL = (
     words_in("wheel wheels motor travel odo odom odometry pos position joint rate delta total")
@@ -208,6 +209,8 @@ class Column:
         Whether a direction is a word like ``front_left``, which is approximate.
     is_bare
         Whether the name is a direction alone: a wheel or a range.
+    is_turning
+        Whether it is the direction of a sensor on a servo. The column has no role then.
     """
 
     name: str
@@ -218,6 +221,7 @@ class Column:
     degrees: float | None = None
     is_word: bool = False
     is_bare: bool = False
+    is_turning: bool = False
 
     @property
     def dimension(self) -> Dimension | None:
@@ -235,7 +239,7 @@ def column_of(name: str) -> Column:
     sign = -1.0 if text.startswith("-") and len(text) > 1 else 1.0
     for rest, words, unit in _without_unit(text.removeprefix("-")):
         column = _meaning(Column(name, unit=unit, sign=sign), rest, words)
-        if column.role is None:
+        if column.role is None and not column.is_turning:
             continue
         is_wheel = column.role in (Role.LEFT, Role.RIGHT)
         if column.dimension in {None, *(_OF_WHEELS if is_wheel else (MEASURED.get(column.role),))}:
@@ -290,12 +294,14 @@ def _meaning(column: Column, text: str, words: list[str]) -> Column:
     known = set(words)
     if known & _NOT_MEASURED:
         return column
+    if known & _TURNING:
+        return replace(column, is_turning=True)
     if (pointing := _range(column, text, words)) is not None:
         return pointing
     side = _wheel(words)
     if side is not None:
         is_length = column.unit is None or column.dimension is Dimension.LENGTH
-        implied = (("m/s", _SPEED), ("rad/s", _ROTATION), ("ticks", _TICKS))
+        implied = (("rpm", {"rpm"}), ("m/s", _SPEED), ("rad/s", _ROTATION), ("ticks", _TICKS))
         usual = next((unit for unit, implying in implied if known & implying), None)
         return replace(column, role=side, usual=usual, is_bare=len(words) == 1 and is_length)
     last = words[-1] if words else ""

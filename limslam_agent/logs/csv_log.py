@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Role
 from limslam_agent.logs.pose_log import (
@@ -40,7 +41,7 @@ from limslam_agent.logs.recorded_log import FilePath, RecordedLog, naming, numbe
 from limslam_agent.logs.table_layout import Header, Layout, layout_of, range_directions
 from limslam_agent.logs.table_motion import Odometry
 from limslam_agent.logs.table_options import TableOptions
-from limslam_agent.logs.table_text import Rows, has_rows_of_numbers, split_header
+from limslam_agent.logs.table_text import MOST_DAMAGED, Rows, has_rows_of_numbers, split_header
 from limslam_agent.logs.wording import listed, was
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec
@@ -49,9 +50,11 @@ from limslam_env.messages import counted
 # Median spacings of the rows of a control loop, by which the unit of its times is found.
 _SPACINGS = {"ms": (10.0, 2e3), "us": (2e3, 2e6), "ns": (2e6, 1e10)}
 _MOST_IGNORED = 12  # columns in a note
-# A clock in ms or us begins again after so many counts: that in us every 72 minutes. The longest
-# time between two rows in which it does, s
-_CLOCK_COUNTS = 2.0**32
+# A clock in ms or us begins again after so many counts: that of 32 bits in us every 72 minutes. A
+# clock of the day begins again after so many s. The longest time between two rows in which one
+# does, s
+_CLOCK_COUNTS = (2.0**16, 2.0**32)
+_DAY = 86400.0
 _LONGEST_PAUSE = 10.0
 _WORDS = {
     Role.TIME: "time",
@@ -187,15 +190,9 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
             numbers = numbers[~is_impossible]
             has_scan = has_scan[~is_impossible]
             lines = lines[~is_impossible]
+    begins = _begin_again(numbers, lines)
     time = numbers[:, 0]
-    steps = np.diff(time)
-    if (steps < -LARGEST_STEP_BACK).any():
-        row = int(np.argmax(steps < -LARGEST_STEP_BACK))
-        raise ValueError(
-            f"line {lines[row + 1]}: the time steps back by {-steps[row]:.1f} s: if the robot was "
-            "switched on again, replay the parts as logs of their own"
-        )
-    odometry = Odometry(layout, numbers, options)
+    odometry = Odometry(layout, numbers, options, begins)
     notes = (*_notes_of_text(rows), *ranges.notes, *time_notes, *odometry.notes)
     fields: dict[str, Any] = {
         "ranges": numbers[:, len(layout.places) :] * ranges.metres,
@@ -281,11 +278,31 @@ def _impossible_times(numbers: FloatArray) -> BoolArray:
 
 
 def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
-    """Times (n,), s, of a clock that counts in ``unit``, s, and begins again when it is full. A
-    late row after that is still from before.
+    """Times (n,), s, of a clock that counts in ``unit``, s, and begins again when it is full, or at
+    midnight. A late row after that is still from before.
     """
-    turn = _CLOCK_COUNTS * unit
-    steps = np.diff(time, prepend=time[:1])
-    begins = (steps < -LARGEST_STEP_BACK) & (steps + turn >= 0.0) & (steps + turn < _LONGEST_PAUSE)
-    is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
-    return time + turn * (np.cumsum(begins) - np.cumsum(is_late))
+    for turn in (*(counts * unit for counts in _CLOCK_COUNTS), _DAY):
+        steps = np.diff(time, prepend=time[:1])
+        begins = (steps < -LARGEST_STEP_BACK) & (np.abs(steps + turn) < _LONGEST_PAUSE)
+        is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
+        time = time + turn * (np.cumsum(begins) - np.cumsum(is_late))
+    return time
+
+
+def _begin_again(numbers: FloatArray, lines: NDArray[np.int64]) -> BoolArray:
+    """Rows (n,) before which the board was switched on again: the time steps back. The times in
+    ``numbers`` (n, k) go on from there. Raises a ValueError if they are many.
+    """
+    steps = np.diff(numbers[:, 0], prepend=numbers[:1, 0])
+    begins = np.asarray(steps < -LARGEST_STEP_BACK)
+    if begins.any():
+        row = int(np.argmax(begins))
+        if begins.sum() > MOST_DAMAGED * len(begins):
+            raise ValueError(
+                f"line {lines[row]}: the time steps back by {-steps[row]:.1f} s, as in "
+                f"{counted(int(begins.sum()), 'row')} of {len(begins)}: sort them by time, or name "
+                "another column as t in --columns"
+            )
+        period = median_spacing(numbers[:, 0])
+        numbers[:, 0] += np.cumsum(np.where(begins, period - steps, 0.0))
+    return begins

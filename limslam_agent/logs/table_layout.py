@@ -3,7 +3,7 @@ heading of an inertial measurement unit, and where each range points.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -148,7 +148,7 @@ def layout_of(header: Header, *, has_robot: bool) -> Layout:
             f"--columns: {unknown[0][:40]!r} is no name of a column; it names {_EXAMPLE}, and - "
             "for a column that is not used"
         )
-    columns = _with_bare_sides(columns)
+    columns = _with_ranges(columns)
     places = _first_places(columns)
     ranges = tuple(place for place, each in enumerate(columns) if each.role is Role.RANGE)
     motion = _odometry(places, has_robot=has_robot)
@@ -159,6 +159,12 @@ def layout_of(header: Header, *, has_robot: bool) -> Layout:
         missing.append("a range (r_90, range_front)")
     if missing:
         raise ValueError(_missing(missing, columns, is_chosen=header.is_chosen))
+    if turning := _turning(columns, motion, ranges):
+        raise ValueError(
+            f"the column {turning[:40]} turns a sensor: the table needs a column of ranges for "
+            "each of its directions, as in r_90,r_0,r_-90, which is empty where the sensor looks "
+            "elsewhere; --columns with - in its place says that it does not"
+        )
     inertial = _inertial(places) if Role.LEFT in motion else {}
     return Layout(columns, {Role.TIME: places[Role.TIME], **motion}, inertial, ranges)
 
@@ -223,9 +229,10 @@ def _first_places(columns: Iterable[Column]) -> dict[Role, int]:
     return {**places, **next((pair for pair in sides.values() if len(pair) == len(WHEELS)), {})}
 
 
-def _with_bare_sides(columns: tuple[Column, ...]) -> tuple[Column, ...]:
-    """The columns, where ``left`` and ``right`` alone are ranges if the table has other wheels, or
-    has a ``front`` beside them and another odometry.
+def _with_ranges(columns: tuple[Column, ...]) -> tuple[Column, ...]:
+    """The columns, where a name that may be a part of the odometry is a range if the odometry is
+    complete without it: ``left`` and ``right`` alone, if the table has other wheels, or has a
+    ``front`` beside them; and a ``distance``, if it has no other range.
     """
     sides = {Role.LEFT: 90.0, Role.RIGHT: -90.0}
     others = _first_places(
@@ -234,13 +241,36 @@ def _with_bare_sides(columns: tuple[Column, ...]) -> tuple[Column, ...]:
     )
     has_front = any(each.is_bare and each.role is Role.RANGE for each in columns)
     has_odometry = bool(_odometry(others, has_robot=True))
-    if not (Role.LEFT in others or (has_front and has_odometry)):
+    if Role.LEFT in others or (has_front and has_odometry):
+        columns = tuple(
+            replace(each, role=Role.RANGE, degrees=sides[each.role], is_word=True)
+            if each.is_bare and each.role in sides
+            else each
+            for each in columns
+        )
+    places = _first_places(columns)
+    if Role.RANGE in places or Role.DISTANCE in _odometry(places, has_robot=True):
         return columns
     return tuple(
-        replace(each, role=Role.RANGE, degrees=sides[each.role], is_word=True)
-        if each.is_bare and each.role in sides
-        else each
-        for each in columns
+        replace(each, role=Role.RANGE) if each.role is Role.DISTANCE else each for each in columns
+    )
+
+
+def _turning(
+    columns: Sequence[Column], motion: Mapping[Role, int], ranges: Sequence[int]
+) -> str | None:
+    """The name of a column with the direction of the only sensor, such as ``servo``; an angle
+    beside other odometry is one.
+    """
+    if len(ranges) > 1:
+        return None
+    return next(
+        (
+            each.name
+            for place, each in enumerate(columns)
+            if each.is_turning or (each.role is Role.ANGLE and place not in motion.values())
+        ),
+        None,
     )
 
 
@@ -306,7 +336,9 @@ def _missing(missing: list[str], columns: Sequence[Column], *, is_chosen: bool) 
         return f"no column with {what}: found {found}{more}"
     first = names.index(NOT_USED)
     advice = "with its name in place of a - says which it is"
-    if missing[0] == _TIME:
+    if len(missing) > 1:
+        advice = f"names them, with {_EXAMPLE} in place of each -"
+    elif missing[0] == _TIME:
         names[first] = str(Role.TIME)
         advice = f"says that {columns[first].name} is the time"
     return f"no column with {what}: found {found}{more}; --columns {','.join(names)}{more} {advice}"

@@ -55,10 +55,17 @@ class Odometry:
     _moves: FloatArray  # since the row before, of the pose or of both wheels (n, 2), m
     _farthest: FloatArray  # that is possible (n,), m
 
-    def __init__(self, layout: Layout, numbers: FloatArray, options: TableOptions) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        numbers: FloatArray,
+        options: TableOptions,
+        begins: BoolArray | None = None,
+    ) -> None:
         """Read it from the numbers (n, k) of the columns of ``layout.places``, of which the first
-        are the times, s. Raises a ValueError if the robot or the radius of its wheels is needed and
-        not given, or a unit in a name and an option do not agree.
+        are the times, s. ``begins`` (n,) are the rows before which the clock says that the board
+        was switched on again. Raises a ValueError if the robot or the radius of its wheels is
+        needed and not given, or a unit in a name and an option do not agree.
         """
         self.units: dict[Role, str] = {}
         self.notes: list[str] = []
@@ -69,6 +76,8 @@ class Odometry:
             for place, role in enumerate(layout.places)
         }
         self._time = numbers[:, 0]
+        none: BoolArray = np.zeros(len(numbers), dtype=np.bool_)
+        self._begins = none if begins is None else begins
         self._period = median_spacing(self._time)
         self._spacing = np.maximum(np.diff(self._time, prepend=self._time[:1]), 0.0)
         longest = np.maximum(self._spacing, self._period)
@@ -96,6 +105,12 @@ class Odometry:
                 self._farthest = TOO_FAST * robot.max_wheel_speed * longest
                 if self._is_travel:
                     self.gaps = gaps_in(wheels, self._time, self._period).tolist()
+        if self._begins.any():
+            when = [f"{seconds:.1f} s" for seconds in self._time[self._begins].tolist()]
+            self.notes.append(
+                f"the log begins again at {listed(when, _MOST_NAMED)}, as of a board that was "
+                "switched on again: how the robot moved there is not known"
+            )
         if self.poses is not None:
             self._moves = np.diff(self.poses[:, :2], axis=0, prepend=self.poses[:1, :2])
             self._farthest = _FARTHEST_STEP + _FASTEST * longest
@@ -220,15 +235,10 @@ class Odometry:
             farthest = _SPARE * robot.max_wheel_speed * self._period / float(metres.min())
             travel = _continued(np.diff(counters, axis=0, prepend=counters[:1]), counters, farthest)
             is_far = (np.abs(travel) > farthest).any(axis=1)
-            restarts = np.flatnonzero(is_far & (np.abs(counters) <= farthest).all(axis=1))
-            travel[restarts] = counters[restarts]
-            if len(restarts):
-                when = [f"{seconds:.1f} s" for seconds in self._time[restarts].tolist()]
-                self.notes.append(
-                    f"the counters of the wheels begin again at 0 at {listed(when, _MOST_NAMED)}, "
-                    "as of a board that was switched on again: how the robot moved there is not "
-                    "known"
-                )
+            begins_at_0 = is_far & (np.abs(counters) <= farthest).all(axis=1)
+            travel[self._begins] = 0.0
+            travel[begins_at_0] = counters[begins_at_0]
+            self._begins = self._begins | begins_at_0
         travel[0] = 0.0
         return travel * metres
 
@@ -240,7 +250,7 @@ class Odometry:
             turn = self._since_before(turn_role, self._lasted)
         else:
             forward = self._since_before(forward_role, self._spacing)
-            heading = self._heading()
+            heading = self._joined(self._heading())
             turn = se2.wrap_angle(np.diff(heading, prepend=heading[:1]))
         forward[0] = turn[0] = 0.0
         return np.column_stack((forward - 0.5 * axle * turn, forward + 0.5 * axle * turn))
@@ -252,7 +262,14 @@ class Odometry:
         column = self._si(role)
         if MEASURED[role] in (Dimension.SPEED, Dimension.TURN_RATE):
             return column * lasted
-        return np.diff(column, prepend=column[:1]) if self._options.accumulated else column.copy()
+        if not self._options.accumulated:
+            return column.copy()
+        return np.diff(self._joined(column), prepend=column[:1])
+
+    def _joined(self, column: FloatArray) -> FloatArray:
+        """A column (n,) that goes on where the board was switched on again."""
+        steps = np.nan_to_num(np.diff(column, prepend=column[:1]))
+        return np.asarray(column - np.cumsum(np.where(self._begins, steps, 0.0)))
 
     def _heading(self) -> FloatArray:
         """The heading of poses (n,), rad."""
@@ -289,7 +306,7 @@ class Odometry:
         self.notes.extend(heading.notes)
         if heading.unit:
             self.units[role] = heading.unit
-        return heading.yaw
+        return None if heading.yaw is None else self._joined(heading.yaw)
 
     def _integrated(self, role: Role, unit: str) -> FloatArray:
         """A heading (n,), rad, from a column of headings or of turn rates in a unit."""

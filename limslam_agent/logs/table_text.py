@@ -43,6 +43,7 @@ _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
 _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
 _LONGEST_QUOTE = 60
+_DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
 _BLANK = b' \t\r\n,;"'
 # What a serial monitor writes before each line.
 _MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
@@ -231,11 +232,14 @@ class Rows:
             return parse_number(field, Role.TIME)
         self.has_calendar = True
         text = field.decode("ascii", "replace")
-        date = "" if "-" in text.lstrip("-")[:8] or "/" in text else "1970-01-01T"
+        text = _DAY_FIRST.sub(r"\3-\2-\1", text).replace("/", "-")
+        date = "" if "-" in text.lstrip("-")[:8] else "1970-01-01T"
         try:
-            moment = datetime.fromisoformat(date + text.replace("/", "-"))
+            moment = datetime.fromisoformat(date + text)
         except ValueError:
-            return parse_number(field, Role.TIME)
+            raise ValueError(
+                f"t is not a number, and no time such as 2026-11-28 14:03:05.25: {described(text)}"
+            ) from None
         return (moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()
 
 

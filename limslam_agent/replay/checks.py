@@ -36,6 +36,8 @@ _LEAST_ALIGNED = 0.5
 _MOST_NAMED = 5  # times in a warning
 # a wheel with this many times its largest speed on average may have travel in another unit
 _CLEARLY_FASTER = 1.2
+# A wheel that gets no farther than this share of its travel has counts that are no counters.
+_GOES_NOWHERE = 0.05
 # share of readings of the other beams that saw nothing, above which a beam may never see a wall
 _MANY_NOTHING = 0.3
 # m: if the middle half of the readings of a beam has a wider range, the robot has moved
@@ -49,7 +51,7 @@ def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list
     ``misreading`` is what `limslam_agent.replay.misreading.misread` has found.
     """
     clock = _clock(log)
-    odometry = "" if clock else _poses(log) or _wheels(log)
+    odometry = "" if clock else _poses(log) or _wheels(log) or _counts(log)
     if misreading is not None and not (clock or odometry):
         odometry = misreading.words
     breaks = [breaks_in_words(log.breaks) if log.breaks else "", _uncounted(log), _long_steps(log)]
@@ -170,14 +172,17 @@ def _poses(log: RecordedLog) -> str:
             return ""
         return (
             f"by odometry the robot stays within {reach:.2f} m, but its readings change by "
-            f"{spread:.2f} m: is odometry missing, or not in metres?"
+            f"{spread:.2f} m: is odometry missing, or not in metres? --position-unit converts"
         )
     moves = np.diff(odometry[:, :2], axis=0)
     lengths = np.hypot(*moves.T)
     driven = float(lengths.sum())
     speed = driven / max(float(np.ptp(log.time)), 1e-9)
     if speed > _FASTEST:
-        return f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"
+        return (
+            f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres? "
+            "--position-unit converts"
+        )
     per_metre = float(np.abs(se2.wrap_angle(np.diff(odometry[:, 2]))).sum()) / driven
     # How well the direction of driving follows the heading, ahead or back, from 0 to 1
     aside = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
@@ -216,6 +221,28 @@ def _wheels(log: RecordedLog) -> str:
     return ""
 
 
+def _counts(log: RecordedLog) -> str:
+    """What is unlikely about the signs of the travel of the wheels."""
+    if log.wheels is None:
+        return ""
+    wheels = log.wheels[1:]
+    most = float(np.abs(wheels).sum(axis=0).max(initial=0.0))
+    if most < _LEAST_DRIVEN:
+        return ""
+    if (wheels >= 0.0).all():
+        return (
+            "no wheel ever counts backwards: if the robot has turned on the spot or driven back, "
+            "its encoders do not tell the direction, and the map is wrong"
+        )
+    reach = float(np.ptp(np.cumsum(wheels, axis=0), axis=0).max())
+    if reach > _GOES_NOWHERE * most:
+        return ""
+    return (
+        f"the wheels travel {most:.1f} m and get no farther than {reach:.2f} m: are left and right "
+        "the travel since the row before? Then leave out --accumulated"
+    )
+
+
 def _spread(log: RecordedLog) -> float:
     """The range of the middle half of a beam's readings of walls, m: the largest of all beams."""
     readings = log.ranges[log.has_scan].astype(np.float64)
@@ -239,7 +266,7 @@ def _seen(log: RecordedLog) -> tuple[FloatArray, float]:
 
 def _why_no_walls(replay: Replay) -> str:
     log = replay.log
-    _, share = _seen(log)
+    seen, share = _seen(log)
     driven = float(np.hypot(*np.diff(replay.odometry[:, :2], axis=0).T).sum())
     if math.isnan(share):
         return "the log has no readings"
@@ -247,7 +274,8 @@ def _why_no_walls(replay: Replay) -> str:
         return "almost no reading saw anything"
     if not (log.ranges[log.has_scan] > log.robot.too_near).any():
         return (
-            "all readings are the shortest ones: are the sensors connected, and what does 0 mean?"
+            f"no reading is longer than {seen.max():.2g} m, which is too near: are the sensors "
+            "connected, what does 0 mean, and are the ranges in metres? --range-unit converts"
         )
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"

@@ -17,6 +17,7 @@ ticks, and 55 of 60 wrong axles.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -47,6 +48,9 @@ _LEAST_SIGMAS = 2.2
 _CERTAIN_LEAD = 0.15
 _CERTAIN_SIGMAS = 5.0
 
+_OF_WHEELS = {Role.LEFT, Role.RIGHT}
+_BEAM = re.compile(r"^(-?r_)(-?)(?=[\d.]*[1-9])")
+_SAME_ANGLE = 0.02  # rad
 _OF_TICKS = {None, Dimension.TICKS}
 _FORWARD = {Role.SPEED, Role.DISTANCE}
 _MOTIONS = {Role.TURN_RATE, Role.YAW_RATE, Role.ANGLE, Role.YAW, Role.HEADING}
@@ -219,6 +223,19 @@ def _remedy(mark: str, header: Sequence[str], names: Sequence[str]) -> str:
     return f"{mark} --columns {','.join(names)} reads the table so"
 
 
+def _remedy_of_beams(log: RecordedLog) -> str:
+    """What reads a table if its beams are exchanged, which the ranges cannot tell from exchanged
+    wheels: one map is the mirror image of the other.
+    """
+    names = [_BEAM.sub(lambda found: found[1] + "-" * (not found[2]), name) for name in log.header]
+    angles = log.robot.beam_angles
+    is_even = bool(np.isclose(angles[:, None], -angles, atol=_SAME_ANGLE).any(axis=1).all())
+    if not is_even or not any(column_of(name).role in _OF_WHEELS for name in names):
+        return ""
+    columns = ",".join(names)
+    return f", and --columns {columns} if it is the beams; the other map is a mirror image"
+
+
 def _misread_wheels(
     log: RecordedLog, wheels: FloatArray, metres_per_tick: float
 ) -> Misreading | None:
@@ -230,6 +247,8 @@ def _misread_wheels(
     reading = _READINGS[number]
     if reading.words:
         words = reading.words + _remedy(":", log.header, reading.columns(log.header))
+        if reading.wheels == _EXCHANGED:
+            words += _remedy_of_beams(log)
     else:
         name = "axle" if reading.tick == 1.0 else "tick"
         size = getattr(reading, name)
@@ -254,7 +273,10 @@ def _of_size(log: RecordedLog, size: float, metres_per_tick: float) -> str:
         return fact
     columns = [column_of(name) for name in log.header]
     if any(each.role is Role.LEFT and each.dimension in _OF_TICKS for each in columns):
-        return f"{fact}: --metres-per-tick {size * metres_per_tick:.3g} reads the table so"
+        return (
+            f"{fact}: --metres-per-tick {size * metres_per_tick:.3g} reads the table so, if unit "
+            "and directions of the ranges are right"
+        )
     return f"{fact}: are the columns of the travel or of the speed in another unit?"
 
 

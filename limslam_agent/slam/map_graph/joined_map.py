@@ -24,6 +24,10 @@ from limslam_env.geometry import FloatArray, se2
 # one, m
 _MOST_JOINED = 12
 _WITHIN = 10.0
+# m: in a window wider than the first number, a match is refused that is known no better along some
+# direction than the second: one corridor fits along any other
+_WIDE = 5.0
+_VAGUE = 10.0
 
 
 def loop_to_joined(
@@ -65,6 +69,8 @@ def loop_to_joined(
         return None
     back = search_grid(drawn.grid, drawn.cell, 0.0), places.maps[first].points
     mean, spread = match_covariance(grid, drawn.points, best.pose, back)
+    if window.shift > _WIDE and np.trace(spread[:2, :2]) > _VAGUE**2:
+        return None
     loop = Loop(first, newest, mean, np.asarray(np.linalg.inv(spread)), best.score)
     off = guess - mean
     off[2] = se2.wrap_angle(off[2])

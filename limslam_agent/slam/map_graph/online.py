@@ -27,7 +27,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     motion_variances,
 )
 from limslam_agent.slam.map_graph.local_maps import LocalMap, cut_chunks
-from limslam_agent.slam.map_graph.reversing import LEAST_LENGTH, driven_backwards
+from limslam_agent.slam.map_graph.reversing import AFTER, LEAST_LENGTH, driven_backwards
 from limslam_agent.slam.map_graph.window import (
     LocalFrame,
     OdometryErrors,
@@ -116,8 +116,8 @@ class OnlineGraph:
         self._chunk_std = 0.0
         self._first_covariance = np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
-        # event of the last job; stretches that prove that odometry has no sign
-        self._last_job = 0
+        # event from which on stretches are judged; those that prove that odometry has no sign
+        self._judged_to = 0
         self._proofs = 0
         self._reversed = list[
             tuple[int, int]
@@ -226,8 +226,9 @@ class OnlineGraph:
         self._smooth_at = recent.travel + _EACH
         while self._job_at <= recent.travel:
             self._job_at += maps.hop
-        data = self._directed() if is_complete else recent.data(self._log)
-        frame = smooth_window(data, recent.first, self.errors, self._config, self._frame)
+        frame = smooth_window(
+            self._directed(), recent.first, self.errors, self._config, self._frame
+        )
         self._frame = frame
         if not is_complete:
             if frame is not None:
@@ -304,12 +305,12 @@ class OnlineGraph:
         data = recent.data(self._log)
         if recent.backwards >= LEAST_LENGTH:
             return data
-        for begin, end, is_proof in driven_backwards(
-            data, self._config, self._last_job - recent.first
-        ):
+        after = max(self._judged_to - recent.first, 0)
+        for begin, end, is_proof in driven_backwards(data, self._config, after):
             self._proofs += is_proof
+            self._judged_to = recent.first + end
             self._reversed.append((recent.first + begin, recent.first + end))
-        self._last_job = recent.last
+        self._judged_to = max(self._judged_to, recent.at(recent.travel - AFTER))
         self._reversed = [each for each in self._reversed if each[0] >= recent.first]
         if self._proofs >= reversing.fewest:
             for begin, end in self._reversed:

@@ -48,8 +48,8 @@ def covariance_in(graph: Graph, keys: KeyPoses, trajectory: Trajectory) -> Float
     columns = graph.nodes.columns("poses")[numbers, :2].ravel()
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
-    covariance = graph.solved(graph.factorise(), rows)[columns]
-    return aligned_covariance(covariance, trajectory.poses[numbers, :2])
+    white = graph.whitened(rows)
+    return aligned_covariance(white.T @ white, trajectory.poses[numbers, :2])
 
 
 def with_learned_noise(
@@ -73,7 +73,7 @@ def with_learned_errors(
     columns = graph.nodes.columns("errors")[0]
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
-    variances = np.diag(graph.solved(graph.factorise(), rows)[columns])
+    variances = (graph.whitened(rows) ** 2).sum(axis=0)
     config = keys.config
     learned = trajectory.bias**2 + chance * variances
     stds = np.sqrt(np.clip(learned, _LEAST_STD**2, np.square(config.motion.stds)))
@@ -126,7 +126,7 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
         rows = np.zeros((graph.nodes.size, 3))
         for part in range(3):
             np.add.at(rows[:, part], columns[begin:end], factors.jacobian[begin:end, part])
-        posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0)
+        posterior = (graph.whitened(rows) ** 2).sum(axis=0)
         variances = keys.step_variances[begin:end].sum(axis=0)
         squares[window] = errors[begin:end].sum(axis=0) ** 2 / variances
         told[window] = np.maximum(1.0 - posterior / variances, 0.0)

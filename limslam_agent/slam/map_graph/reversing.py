@@ -33,7 +33,8 @@ from limslam_agent.slam.map_graph.matching import (
 )
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_AFTER = 2.0  # m of driving after an event, which are compared with half a chunk before it
+AFTER = 2.0
+"""Distance driven after an event, m, that is compared with half a chunk before it."""
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 LEAST_LENGTH = 0.15
@@ -55,7 +56,7 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     beams reach less far than what is compared, or one in which nearly no stretch contradicts that
     it was driven ahead.
     """
-    if data.max_range < _AFTER or -data.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
+    if data.max_range < AFTER or -data.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
     views = _LocalViews(data, config)
     stretches = _stretches(data, views.driven)
@@ -65,7 +66,7 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     begins, ends = views.travel[stretches.T]
     leads = np.array([lead for lead, _ in judged])
     turned = np.zeros(len(judged), dtype=np.bool_)
-    reach = config.maps.half + _AFTER
+    reach = config.maps.half + AFTER
     while leads.max(initial=0.0) > 0.0:
         best = leads.argmax()
         leads[best] = NO_MATCH
@@ -80,20 +81,26 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
 
 
 def driven_backwards(
-    data: LogData, config: GraphConfig, since: int
+    data: LogData, config: GraphConfig, after: int
 ) -> Iterator[tuple[int, int, bool]]:
     """Stretches at the end of a drive that look reversed: first and last event, and whether that is
     a proof.
 
-    Those are judged, in their order, after which enough has been seen only since the event
-    ``since``.
+    Those are judged, in their order, that begin at the event ``after`` or later, and at least a
+    metre before the end of the data. Of a stretch that is turned round already, what was driven
+    since then is part.
     """
-    if data.max_range < _AFTER:
+    if data.max_range < AFTER:
         return
     views = _LocalViews(data, config)
-    travel = views.travel
+    latest = views.travel[-1] - _BEYOND
     for begin, end in _stretches(data, views.driven).tolist():
-        if travel[since] < travel[end] + _AFTER <= travel[-1]:
+        turned = views.moves[begin:end, 0] < 0.0
+        if turned.any():
+            rest = end - int(turned[::-1].argmax())
+            if views.driven[end] - views.driven[rest] > STANDING:
+                yield rest, end, False
+        elif begin >= after and views.travel[begin] <= latest:
             judged = _judged(views, begin, end)
             if judged[0] > 0.0:
                 _turn_round(views, begin, end)
@@ -133,11 +140,11 @@ class _LocalViews:
         grid = draw_grid(places, origins, self._data.max_range, self._maps)
         return search_grid(grid, self._maps.cell, _WINDOW.shift)
 
-    def next_moves(self, event: int, most: float = _AFTER) -> FloatArray:
+    def next_moves(self, event: int, most: float = AFTER) -> FloatArray:
         """A copy of the motions (k, 3) of the first metres after an event, of at most ``most``
         m.
         """
-        end = np.searchsorted(self.travel, self.travel[event] + min(_AFTER, most), side="right")
+        end = np.searchsorted(self.travel, self.travel[event] + min(AFTER, most), side="right")
         return self.moves[event : end - 1].copy()
 
     def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> tuple[float, float]:

@@ -4,6 +4,7 @@ before the table, and damaged lines. Each is compared with the same drive as met
 
 import gzip
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -496,3 +497,26 @@ def test_numbers_that_overflow_raise_no_warning(write, column):
         assert "a wheel travels inf m" in refusal(path, table=options)
     else:
         assert len(read_log(path, table=options)) == COUNT
+
+
+ONE_BEAM = TableOptions(RobotSpec(beams=beams_on_rim((0.0,), 0.1)))
+
+
+@pytest.mark.parametrize("name", ["distance", "dist_cm"])
+def test_a_distance_beside_wheels_is_a_range(write, name):
+    log = read_log(write(f"t,left,right,{name}\n0,0,0,1\n0.1,0,0,1\n"), table=ONE_BEAM)
+    assert any("the ranges are taken as the robot's beams" in note for note in log.notes)
+    assert_array_equal(log.reported[:, 0], [1.0, 1.0] if name == "distance" else [0.01, 0.01])
+
+
+@pytest.mark.parametrize("names", ["servo_deg,dist_mm", "angle,distance"])
+def test_a_sensor_that_turns_is_refused_with_what_helps(write, names):
+    words = refusal(write(f"t,left,right,{names}\n0,0,0,90,1\n0.1,0,0,91,1\n"), table=ONE_BEAM)
+    assert f"the column {names.split(',')[0]} turns a sensor: the table needs a column" in words
+
+
+def test_turns_a_minute_may_stand_before_the_wheel(write):
+    table = replace(ONE_BEAM, wheel_radius=0.03)
+    names = ("rpm_left,rpm_right", "left_rpm,right_rpm")
+    logs = [read_log(write(f"t,{each},r_0\n0,5,5,1\n0.1,5,5,1\n"), table=table) for each in names]
+    assert_array_equal(logs[0].wheels, logs[1].wheels)

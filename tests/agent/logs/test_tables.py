@@ -107,7 +107,7 @@ def test_beams_can_be_chosen_and_are_six_of_many(write):
             "11 columns where the header names 7: if commas are decimal marks here, separate the",
         ),
         ("nan,0,0,0,1,1,1", "t is nan, not a finite number"),
-        ("soon,0,0,0,1,1,1", "t is not a number: 'soon'"),
+        ("soon,0,0,0,1,1,1", "t is not a number, and no time such as 2026-11-28 14:03:05.25: "),
         ("0.2,inf,0,0,1,1,1", "x is inf"),
         ("0.2,0,0,0,1,1.5.2,1", "a range is not a number: '1.5.2'; an empty field or nan is no"),
         ("-2.0,0,0,0,1,1,1", "the time steps back by 2.0 s"),
@@ -160,7 +160,33 @@ def test_counters_of_a_board_that_was_switched_on_again_count_from_there(write):
     log = read_log(write(AHEAD, *rows), table=options)
     assert_allclose(log.wheels[:, 0], [0.0, *[0.01] * 19, 0.001, 0.01, 0.01])
     (note,) = log.notes
-    assert note.startswith("the counters of the wheels begin again at 0 at 2.0 s, as of a board")
+    assert note.startswith("the log begins again at 2.0 s, as of a board that was switched on")
+
+
+@pytest.mark.parametrize("header_again", ["", f"boot: 0x13\n{AHEAD}"])
+@pytest.mark.parametrize("first_time", [0.0, 0.1])
+def test_a_second_drive_in_a_file_follows_the_first_one(write, header_again, first_time):
+    rows = [f"{first_time + 0.1 * row:.1f},{100 * row},{100 * row},1.5\n" for row in range(40)]
+    options = replace(ONE_BEAM, metres_per_tick=1e-4, accumulated=True)
+    log = read_log(write(AHEAD, *rows, header_again, *rows), table=options)
+    assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert_allclose(log.wheels[:, 0], [0.0, *[0.01] * 39, 0.0, *[0.01] * 39])
+    assert log.notes[-1].startswith("the log begins again at 4.")
+
+
+def test_a_clock_of_the_day_goes_on_after_midnight(write):
+    rows = [f"23:59:{58.0 + 0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
+    rows += [f"00:00:0{0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
+    log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
+    assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert log.notes == ()
+
+
+@pytest.mark.parametrize("day", ["28.11.2026", "2026-11-28"])
+def test_a_day_may_stand_before_the_time_of_the_day(write, day):
+    rows = [f"{day} 12:03:0{0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
+    log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
+    assert_allclose(log.time, 1795867380.0 + 0.1 * np.arange(20))
 
 
 def test_empty_fields_at_either_end_of_a_line_stay_with_tabs(write):
@@ -246,7 +272,7 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         ("t,left,right,r_0\n0,0,0,1\n", {}, "no beam within 1 deg of 0 deg: the robot's beams are"),
         ("t,left,r_0\n0,0,1\n", {}, "no column with right beside left: found t,left,r_0"),
         (WHEELS + "0,0,0,1,1,1,7\n", {}, "or begin it with #; or --columns names the columns in"),
-        (WHEELS + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", {}, "steps back by 5.0 s: if the robot was"),
+        (WHEELS + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", {}, "steps back by 5.0 s, as in 1 row of 2: sort"),
         (WHEELS + METRES, {"metres_per_tick": 100.0}, "a wheel travels 2 m in 0.1 s at time 0.1 s"),
     ],
 )

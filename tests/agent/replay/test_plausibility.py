@@ -91,6 +91,7 @@ def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(
         ({"step": 0.00002}, "drove only 0.00 m by odometry. Is the odometry in metres?"),
         ({"beams": (0, 180)}, "no beam looks to the left or the right"),
         ({"right": "nan", "left": "nan"}, "the log has no readings"),
+        ({"right": "0.0008", "left": "0.0029"}, "are the ranges in metres? --range-unit converts"),
     ],
 )
 def test_a_map_without_walls_is_explained(tmp_path, changes, words):
@@ -369,6 +370,33 @@ def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, words):
         f"the beam at 90 deg {words.format(len(log))}: is its sensor connected?"
     )
     assert "--beams=45,15,-15,-45,-90 leaves it out" in warning
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            lambda wheels: wheels * (-1.0) ** np.arange(len(wheels))[:, None],
+            "Then leave out --accumulated",
+        ),
+        (np.abs, "no wheel ever counts backwards: if the robot has turned on the spot"),
+    ],
+)
+def test_counts_without_a_sum_or_without_a_direction_are_noticed(change, words):
+    log = wheel_log(np.eye(2))
+    assert log.wheels is not None
+    assert not any(words in line for line in log_warnings(log))
+    warnings = log_warnings(replace(log, wheels=change(log.wheels)))
+    assert any(words in line for line in warnings)
+
+
+def test_exchanged_beams_are_mended_without_a_mirror_image():
+    log = wheel_log(np.array([[0.0, 1.0], [1.0, 0.0]]))
+    names = [f"r_{angle:g}" for angle in np.degrees(log.robot.beam_angles).round(1)]
+    found = misread(replace(log, header=("t", "left", "right", *names)), 0.001)
+    assert found is not None
+    mirrored = ",".join(name.replace("r_", "r_-").replace("--", "") for name in names)
+    assert f", and --columns t,left,right,{mirrored} if it is the beams" in found.words
 
 
 def test_wheels_that_are_faster_than_the_robot_are_noticed():

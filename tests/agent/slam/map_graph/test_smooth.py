@@ -201,9 +201,9 @@ def test_a_stretch_is_found_while_driving():
     wheels = (
         straight(9.8)
         + STOP
-        + straight(-1.6)
+        + straight(-3.0)
         + STOP
-        + straight(1.6)
+        + straight(3.0)
         + turn(90.0, SIX_BEAMS)
         + straight(6.0)
     )
@@ -211,10 +211,15 @@ def test_a_stretch_is_found_while_driving():
     log = without_signs(signed)
     config = replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1))
     graph = OnlineGraph(log, log.odometry[0], config)
+    poses = []
     for event in zip(log.time, log.odometry, log.ranges, log.hit, strict=True):
         graph.step(*event)
+        poses.append(graph.pose)
+    off = np.hypot(*(np.array(poses) - signed.odometry)[:, :2].T)
+    # It is found before its end: what was driven since the last job is not smoothed yet.
+    assert off.max() < 4.0
     assert np.hypot(*(log.odometry - signed.odometry)[-1, :2]) > 3.0
-    assert np.hypot(*(graph.pose - signed.odometry[-1])[:2]) < 0.5
+    assert off[-1] < 0.5
 
 
 def test_odometry_that_reports_driving_backwards_is_believed():
