@@ -111,7 +111,8 @@ def visit_counts(keys: KeyPoses, trajectory: Trajectory, seam: int | None = None
     hits = np.zeros(len(places), dtype=np.int64)
     frees = np.zeros(len(places), dtype=np.int64)
     for number, chunk in enumerate(chunks):
-        others = np.abs(travel - travel[number])[owner] >= maps.another_visit
+        others = (np.abs(travel - travel[number]) >= maps.another_visit)[owner]
+        others &= np.abs(places - poses[number, :2]).max(axis=1) < chunk.cell * len(chunk.grid)
         grid = search_grid(chunk.grid, chunk.cell, 0.0)
         cells = grid.at(se2.transform_points(se2.inverse(poses[number]), places[others]))
         hits[others] += cells > 0
