@@ -97,6 +97,8 @@ def judged_together(
     config
         The settings of chunks.
     """
+    if not loops:
+        return []
     covariances = [np.asarray(np.linalg.inv(loop.information)) for loop in loops]
     along = np.array([least_known(each) for each in covariances])
     variances = np.einsum("li,lij,lj->l", along, covariances, along)

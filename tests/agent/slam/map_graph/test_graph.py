@@ -588,6 +588,7 @@ def test_a_row_of_loops_tells_equal_rooms_apart():
     assert all(loop.information[0, 0] > 0.5 for loop in row[2:8])
     (alone,) = judged_together(loops[11:], believed, maps + later, MAPS)
     assert alone.information[0, 0] < 30.0**-2 * 1.1
+    assert judged_together([], believed, maps + later, MAPS) == []
 
 
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
