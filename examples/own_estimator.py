@@ -34,6 +34,8 @@ class DeadReckoning:
         return self.pose
 
 
+if len(sys.argv) != 2:
+    sys.exit(__doc__)
 folder = Path(sys.argv[1])
 log = read_log(folder / "log.npz")
 if log.true_pose is None:

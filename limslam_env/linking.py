@@ -26,11 +26,14 @@ from numba.core import (
     cpu,
     dispatcher,
     errors,
+    ir,
+    ir_utils,
     lowering,
     postproc,
     targetconfig,
     transforms,
     typed_passes,
+    types,
 )
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
@@ -161,6 +164,44 @@ def _wrap_for_c(lower: Any) -> None:
     """Write no wrapper for calls from C: nothing calls kernels from there."""
 
 
+_usual_statement = lowering.Lower.lower_inst
+
+
+def _is_borrowed(lower: Any, name: str) -> bool:
+    """Whether a variable is an argument, or part of a tuple that is one. The caller holds these
+    until the function returns.
+    """
+    known = lower.definitions[name]
+    value = known[0] if len(known) == 1 else None
+    if isinstance(value, ir.Expr) and value.op in ("getattr", "static_getitem"):
+        value = value.value if isinstance(lower.typeof(value.value.name), types.BaseTuple) else None
+    if isinstance(value, ir.Var):
+        return _is_borrowed(lower, value.name)
+    return isinstance(value, ir.Arg)
+
+
+def _write(lower: Any, statement: Any) -> None:
+    """Write the code of a statement, which counts no references to what the caller holds. numba
+    counts them for each variable, and threads that share an array wait for each other to do so.
+    """
+    if not hasattr(lower, "definitions"):
+        lower.definitions = ir_utils.build_definitions(lower.blocks)
+    name = None
+    if isinstance(statement, ir.Assign):
+        name = statement.target.name
+    elif isinstance(statement, ir.Del):
+        name = statement.value
+    if name is None or not _is_borrowed(lower, name):
+        _usual_statement(lower, statement)
+        return
+    with _replaced(lower.context.nrt, incref=_nothing, decref=_nothing):
+        _usual_statement(lower, statement)
+
+
+def _nothing(*arguments: Any) -> None:
+    """Take the place of the counting of references."""
+
+
 def _raise_of_shapes(source: Any, target: Any) -> Any:
     """Take the place of numba's error about unequal shapes, which is 25 functions, since its
     message has both.
@@ -283,6 +324,7 @@ def _linking(target: Any) -> Iterator[None]:
         _replaced(cpu.CPUContext, get_executable=_executable),
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
+        _replaced(lowering.Lower, lower_inst=_write),
         _replaced(functions.BaseFunction, get_call_type=_call_type),
         _replaced(postproc.PostProcessor, run=_lifetimes),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),

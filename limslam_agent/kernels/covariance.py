@@ -149,10 +149,10 @@ def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
     """
     block = np.empty((len(columns), len(columns)))
     for i in range(len(columns)):
-        for j in range(len(columns)):
+        for j in range(i + 1):
             low = min(columns[i], columns[j])
             high = max(columns[i], columns[j])
-            block[i, j] = P[low, high] if low < POSE else P[high, low]
+            block[i, j] = block[j, i] = P[low, high] if low < POSE else P[high, low]
     return block
 
 

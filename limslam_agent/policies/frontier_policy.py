@@ -14,6 +14,7 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.attempts import SAME_GOAL, Attempt, Attempts
 from limslam_agent.policies.controller import (
     REPLAN_PERIOD,
+    TURN_RATE,
     Progress,
     follow,
     nearest_beam,
@@ -23,6 +24,7 @@ from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, next_target
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
@@ -39,6 +41,9 @@ class FrontierPolicy(MapExplorer):
     The robot first looks at a frontier with the nearest beam from a distance. If that shows
     nothing, the robot drives to it. What it has looked at, or could not reach, is no goal any more,
     so exploration always ends (:mod:`limslam_agent.policies.attempts`).
+
+    A robot that has not turned round yet, as in front of a corner, does so before it ends, unless
+    its map is closed or a goal could not be reached.
 
     A robot whose beams reach less than :func:`least_reach` sees no free cell beside its own, and so
     no frontier. Such a robot follows walls instead until it has seen nothing new for a while, and
@@ -60,6 +65,9 @@ class FrontierPolicy(MapExplorer):
         robot = robot or RobotSpec()
         self._config = config or PolicyConfig()
         self._wall_follower = WallFollower(robot, self._config)
+        # How far the robot has still to turn, rad, until it has looked around.
+        self._to_turn = 2.0 * math.pi
+        self._turned_from: float | None = None
         super().__init__(robot)
 
     def _forget_map(self) -> None:
@@ -95,10 +103,20 @@ class FrontierPolicy(MapExplorer):
     def _wheels(self, belief: Belief) -> FloatArray:
         if self.robot.reach < least_reach(self.robot, belief.grid.cell):
             return self._follow_walls(belief)
+        heading = float(belief.pose[2])
+        if self._turned_from is not None:
+            self._to_turn -= abs(float(wrap_angle(heading - self._turned_from)))
+        self._turned_from = heading
         if self._until_plan <= 0 or self._pursued is None:
             self._replan(belief)
         self._until_plan -= 1
-        return np.zeros(2) if self._pursued is None else self._follow(belief, self._pursued)
+        if self._pursued is not None:
+            return self._follow(belief, self._pursued)
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._to_turn -= TURN_RATE * self.robot.control_period
+        self._turned_from = None
+        return turn_by(math.pi, self.robot)
 
     def _follow_walls(self, belief: Belief) -> FloatArray:
         wheels = self._wall_follower.act(belief)
@@ -119,7 +137,9 @@ class FrontierPolicy(MapExplorer):
         target = self._target(belief)
         if target is None:
             self._drop()
-            self.stop_reason = self._reason(belief)
+            is_closed = not frontier_cells(belief.grid, 1).any()
+            if is_closed or self._failed or self._to_turn <= 0.0:
+                self.stop_reason = self._reason(belief)
             return
         if self.goal is None or math.dist(self.goal, target.goal) >= SAME_GOAL:
             self._leave(belief)

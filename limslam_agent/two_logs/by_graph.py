@@ -24,7 +24,13 @@ from limslam_agent.slam.map_graph.key_poses import (
 )
 from limslam_agent.slam.map_graph.point_links import point_cloud
 from limslam_agent.slam.map_graph.smoothing import smooth_locally
-from limslam_agent.slam.map_graph.stages import GraphResult, Report, saying, smooth_with_loops
+from limslam_agent.slam.map_graph.stages import (
+    GraphResult,
+    Report,
+    hop_covariances,
+    saying,
+    smooth_with_loops,
+)
 from limslam_agent.two_logs.joint import JointReplay, Replays
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
@@ -57,7 +63,9 @@ def joined_by_graph(replays: Replays, frame: FloatArray, report: Report) -> Join
     keys = choose_keys(data, config)
     local = smooth_locally(keys, odometry_trajectory(keys, first[0]))
     start = Trajectory(np.vstack((first, second))[keys.first_event], np.zeros(ERRORS))
-    joint = smooth_with_loops(keys, local, start, saying("both logs", report))
+    joint = smooth_with_loops(
+        keys, hop_covariances(keys, local), start, saying("both logs", report)
+    )
     seam = int(keys.event_key[len(first)])
     is_second = joint.chunk_keys >= seam
     between = [each for each in joint.loops if is_second[each.first] != is_second[each.second]]

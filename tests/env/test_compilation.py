@@ -8,10 +8,13 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import NamedTuple
 
+import numpy as np
 import pytest
 
-from limslam_env.compilation import ENV_SOURCES, source_stamp
+from limslam_env.compilation import ENV_SOURCES, compiled, source_stamp
+from limslam_env.geometry import FloatArray
 from limslam_env.kernels import batch_step
 
 CALLED = """from limslam_env.compilation import compiled
@@ -314,3 +317,40 @@ def test_the_sources_import_nothing_beyond_themselves(source):
 
 def test_the_step_of_a_batch_is_in_the_sources():
     assert batch_step.__name__ in {module for each in ENV_SOURCES for module in modules_of(each)}
+
+
+class Pair(NamedTuple):
+    """Two arrays."""
+
+    first: FloatArray
+    second: FloatArray
+
+
+@compiled
+def largest_part(pair: Pair, count: int) -> FloatArray:
+    """A part of a pair, or a new array after ``count`` of them."""
+    largest = pair.first
+    for _ in range(count):
+        other = pair.second
+        if other.sum() > largest.sum():
+            largest = other
+        elif largest.sum() < 0.0:
+            largest = largest + other
+    return largest
+
+
+@compiled
+def through_another(pair: Pair, count: int) -> FloatArray:
+    """The same by a function that is handed a new pair."""
+    return largest_part(Pair(pair.second, pair.first), count)
+
+
+@pytest.mark.parametrize("function", [largest_part, through_another])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_functions_count_the_references_that_they_keep_and_no_others(function, sign):
+    pair = Pair(np.full(3, sign), np.full(3, 2.0 * sign))
+    before = [sys.getrefcount(each) for each in pair]
+    results = [function(pair, 4) for _ in range(3)]
+    assert all((each == function.py_func(pair, 4)).all() for each in results)
+    del results
+    assert [sys.getrefcount(each) for each in pair] == before

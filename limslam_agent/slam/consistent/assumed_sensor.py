@@ -83,9 +83,9 @@ class AssumedSensor:
         sensor = self.sensor
         noise = self._noise.estimate
         change = errors.estimate_of(LENGTHS)[0]
-        evidence = errors.length_evidence
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
-        evidence = np.where(np.abs(change) > (LEAST_BIAS, LEAST_ANGLE), evidence, 0.0)
+        is_large = np.abs(change) > (LEAST_BIAS, LEAST_ANGLE)
+        evidence = np.where(is_large, errors.length_evidence if is_large.any() else 0.0, 0.0)
         gate = config.gate
         noise_gate = config.noise_gate
         if not self._is_specified:

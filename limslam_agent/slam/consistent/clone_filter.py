@@ -96,7 +96,8 @@ def clone(ekf: Filter, robot: int, jitter: FloatArray) -> int:
     ekf.counts[NEXT_CLONE] += 1
     by_pose = np.zeros((POSE, POSE))
     by_increment = np.zeros((POSE, POSE))
-    move_pose(ekf, at, np.zeros(POSE), jitter, by_pose, by_increment)
+    # A copy: for an array that is read-only, the kernel would be compiled a second time.
+    move_pose(ekf, at, np.zeros(POSE), jitter.copy(), by_pose, by_increment)
     return int(number)
 
 

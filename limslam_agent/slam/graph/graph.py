@@ -7,12 +7,11 @@ robot perception", 2017).
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.sparse import csc_matrix
-from scipy.sparse.linalg import SuperLU, splu
 
+from limslam_agent.slam.graph import cholesky
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -20,11 +19,6 @@ from limslam_env.geometry import FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _AT_ONCE = 32
-# Share of the product of two unknowns' scales, at random. splu drops exact zeros, and a number that
-# is never zero keeps all places that the recursion of covariances visits. It is below the rounding
-# errors of the matrix.
-_NEVER_ZERO = 1e-16
-_PANEL = 1  # columns that splu works on at once; more are slower for matrices with so few entries
 
 Keys = tuple[tuple[str, IntArray], ...]
 """The nodes of f factors: the kind and the numbers (f,) of the first node of each, of the second
@@ -43,6 +37,13 @@ class Nodes:
     """The unknowns of a graph, by the names of their kinds. Each kind has a number of nodes, and a
     number of unknowns for each node.
 
+    Attributes
+    ----------
+    size
+        The number of all unknowns.
+    widths, owners
+        The number of unknowns of each node (m,), and the node of each column (size,).
+
     Examples
     --------
     >>> nodes = Nodes(poses=(3, 3), lines=(2, 2))
@@ -57,6 +58,9 @@ class Nodes:
             end = self.size + count * width
             self._columns[kind] = np.arange(self.size, end).reshape(count, width)
             self.size = end
+        counts, widths = np.array(list(kinds.values())).T
+        self.widths = np.repeat(widths, counts)
+        self.owners = np.repeat(np.arange(len(self.widths)), self.widths)
 
     def columns(self, kind: str) -> IntArray:
         """The columns (count, width) of the nodes of a kind."""
@@ -119,29 +123,23 @@ class Graph:
 
     def __init__(self, nodes: Nodes, order: IntArray | None = None) -> None:
         self.nodes = nodes
-        self._column_order: Literal["NATURAL", "MMD_AT_PLUS_A"] = "NATURAL"
-        if order is None:
-            self._column_order = "MMD_AT_PLUS_A"
-            order = np.arange(3, nodes.size)
-        self._free = order
-        is_fixed = np.ones(nodes.size, dtype=bool)
-        is_fixed[order] = False
-        # The place of each unknown in the matrix. Those that are fixed come last, and are left out.
-        self._places = np.empty(nodes.size, dtype=np.int32)
-        self._places[np.append(order, np.flatnonzero(is_fixed))] = np.arange(nodes.size)
-        self._rows = list[IntArray]()
-        self._columns = list[IntArray]()
-        # Of each entry that was added, its place in the matrix; and the rows and columns of that
-        self._sparsity: tuple[IntArray, IntArray, IntArray] | None = None
+        self._order = order
+        if order is not None:
+            order = nodes.owners[order]
+            self._order = order[np.diff(order, prepend=-1) != 0]
+        # The nodes of the factors that were added, and the panels of the matrix
+        self._numbers = list[IntArray]()
+        self._panels: cholesky.Panels | None = None
         self.clear()
 
     def clear(self) -> None:
         """Remove all factors. Factors of the same nodes have to be added again, in the same order:
-        the sparsity of the matrix is found once for all of them.
+        the sparsity of the matrix is found once for all of them. After a solution, no others can be
+        added before.
         """
         self.gradient = np.zeros(self.nodes.size)
-        self._values = list[FloatArray]()
-        self._factors: SuperLU | None = None
+        self._hessians = list[FloatArray]()
+        self._factor: FloatArray | None = None
 
     def add(self, factors: Factors) -> None:
         """Add factors without a robust kernel."""
@@ -180,120 +178,122 @@ class Graph:
 
     def add_sums(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
         """Add sums over factors: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
-        self._factors = None
-        self._values.append(hessian.ravel())
-        if len(self._rows) < len(self._values):
-            self._sparsity = None
-            width = columns.shape[1]
-            places = self._places[columns]
-            self._rows.append(np.repeat(places, width, axis=1).ravel())
-            self._columns.append(np.tile(places, (1, width)).ravel())
+        if not len(columns):
+            return
+        self._factor = None
+        self._hessians.append(hessian)
+        if len(self._numbers) < len(self._hessians):
+            self._panels = None
+            firsts = np.flatnonzero(np.diff(self.nodes.owners[columns[0]], prepend=-1))
+            self._numbers.append(self.nodes.owners[columns[:, firsts]])
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
-    def factorise(self) -> SuperLU:
-        """Factorise the matrix of the unknowns that are not fixed, once for all factors.
+    def factorise(self) -> tuple[cholesky.Panels, FloatArray]:
+        """The factor of the matrix of the unknowns that are not fixed, once for all factors.
 
         Raises
         ------
         DegenerateError
             If the matrix is singular.
         """
-        if self._factors is None:
-            self._factors = _factorised(self._matrix(), self._column_order)
-        return self._factors
+        panels = self._panels or self._found_panels()
+        if self._factor is None:
+            self._factor = np.zeros(panels.begins[-1])
+            for numbers, hessian in zip(self._numbers, self._hessians, strict=True):
+                widths = self.nodes.widths[numbers[0]]
+                cholesky.add_blocks(panels, self._ranks[numbers], widths, hessian, self._factor)
+            self._hessians.clear()
+            if not cholesky.factorise(panels, self._factor):
+                raise DegenerateError("the factors do not determine the unknowns")
+        return panels, self._factor
 
     def solve(self) -> FloatArray:
         """The Gauss-Newton step (size,)."""
-        return -self.solved(self.factorise(), self.gradient)
+        factor = self.factorise()
+        step = np.zeros(self.nodes.size)
+        step[self._free] = cholesky.backward(*factor, -self.whitened(self.gradient[:, None])[:, 0])
+        return step
 
-    def solved(self, factors: SuperLU, right: FloatArray) -> FloatArray:
-        """The inverse of the matrix times ``right`` (size, ...). The rows of fixed unknowns are
-        zero.
+    def whitened(self, right: FloatArray) -> FloatArray:
+        """Right sides (size, k) divided by the factor L: with the inverse C of the matrix, the
+        products of their columns are ``right.T @ C @ right``.
         """
-        solved = np.zeros_like(right)
-        solved[self._free] = factors.solve(right[self._free])
-        return solved
+        factor = self.factorise()
+        return np.asarray(cholesky.forward(*factor, right[self._free]))
 
     def covariances(self, factors: Factors) -> FloatArray:
         """Covariances (f, d, d) of what factors measure, by their derivatives."""
         columns = self.nodes.columns_of(factors.keys)
-        solver = self.factorise()
         count, height, _ = factors.jacobian.shape
         covariances = np.empty((count, height, height))
         # A few at a time, since each needs dense columns of all unknowns.
         for begin in range(0, count, _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
-            rows = columns[part, :, None]
             by = factors.jacobian[part]
             places = np.arange(len(by) * height).reshape(-1, 1, height)
             right = np.zeros((self.nodes.size, places.size))
-            right[rows, places] = by.transpose(0, 2, 1)
-            covariances[part] = by @ self.solved(solver, right)[rows, places]
+            right[columns[part, :, None], places] = by.transpose(0, 2, 1)
+            white = self.whitened(right).reshape(-1, len(by), height)
+            covariances[part] = np.einsum("nfd,nfe->fde", white, white)
         return covariances
 
-    def covariance_of_last(self, factors: SuperLU, count: int) -> FloatArray:
+    def covariance_of_last(self, count: int) -> FloatArray:
         """Joint covariance (count, count) of the last unknowns of an order, all of which are
         coupled to each other.
         """
-        lower, upper = (each[-count:, -count:].toarray() for each in (factors.L, factors.U))
-        if not (upper.diagonal() > 0.0).all():
-            raise DegenerateError("the factors do not determine the unknowns")
-        inverse = np.linalg.inv(lower @ upper)
-        return np.asarray(0.5 * (inverse + inverse.T))
+        panels, factor = self.factorise()
+        # What is coupled to each other and to nothing later is one panel.
+        height = panels.tops[-1] - panels.tops[-2]
+        last = factor[panels.begins[-2] :].reshape(-1, height)[-count:, -count:]
+        inverse = np.linalg.inv(np.triu(last))
+        return np.asarray(inverse @ inverse.T)
 
     def marginals(self, kind: str) -> FloatArray:
-        """Covariances (count, width, width) of all nodes of a kind, by an order; 0 where they are
-        fixed.
-        """
-        matrix = self._matrix()
-        scale = np.sqrt(matrix.diagonal())
-        draws = np.random.default_rng(0).uniform(0.5, 1.0, matrix.nnz)
-        column = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
-        matrix.data += _NEVER_ZERO * draws * scale[matrix.indices] * scale[column]
-        factors = _factorised(matrix, "NATURAL")
-        lower = csc_matrix(factors.L)
-        pivots = factors.U.diagonal()
-        lower.sort_indices()
-        values = np.empty(lower.nnz)
-        _selected_inverse(
-            lower.indptr.astype(np.int64),
-            lower.indices.astype(np.int64),
-            lower.data,
-            pivots,
-            values,
-        )
-        inverse = csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
-        places = self._places[self.nodes.columns(kind)]
-        is_free = (places < len(pivots)).all(axis=1)
-        rows = places[is_free, :, None]
-        columns = places[is_free, None, :]
-        entries = inverse[np.maximum(rows, columns).ravel(), np.minimum(rows, columns).ravel()]
-        covariances = np.zeros((*places.shape, places.shape[1]))
-        covariances[is_free] = np.asarray(entries).reshape(-1, *covariances.shape[1:])
+        """Covariances (count, width, width) of all nodes of a kind; 0 where they are fixed."""
+        panels, factor = self.factorise()
+        inverse = cholesky.selected_inverse(panels, factor)
+        columns = self.nodes.columns(kind)
+        ranks = self._ranks[self.nodes.owners[columns[:, 0]]]
+        is_free = ranks < len(panels.owners)
+        ranks = ranks[is_free, None, None]
+        owners = panels.owners[ranks]
+        low, high = np.sort(np.indices((columns.shape[1],) * 2), axis=0)
+        begin = panels.starts[ranks] - panels.starts[panels.nodes[owners]]
+        places = (begin + low) * np.diff(panels.tops)[owners] + begin + high
+        covariances = np.zeros((*columns.shape, columns.shape[1]))
+        covariances[is_free] = inverse[panels.begins[owners] + places]
         return covariances
 
-    def _matrix(self) -> csc_matrix:
-        """The matrix of the unknowns that are not fixed."""
-        count = len(self._free)
-        if self._sparsity is None:
-            added = (np.concatenate(self._rows), np.concatenate(self._columns))
-            self._sparsity = _places_of_sums(*added, count)
-        places, rows, firsts = self._sparsity
-        sums = np.bincount(places, np.concatenate(self._values), len(rows) + 1)
-        return csc_matrix((sums[1:], rows, firsts), shape=(count, count))
+    def _found_panels(self) -> cholesky.Panels:
+        """The panels of the matrix, after the elimination has been ordered."""
+        nodes = self.nodes
+        count = len(nodes.widths)
+        self._ranks = np.full(count, count)
+        order = self._order
+        if order is None:
+            self._ranks[1:] = np.arange(count - 1)
+            order = 1 + cholesky.sparse_order(self._coupled(count - 1))
+        self._ranks[order] = np.arange(len(order))
+        # The unknowns of nodes that are fixed come last.
+        self._free = np.argsort(self._ranks[nodes.owners], kind="stable")
+        self._panels = cholesky.panels(self._coupled(len(order)), nodes.widths[order])
+        self._free = self._free[: self._panels.starts[-1]]
+        return self._panels
 
-
-def _factorised(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> SuperLU:
-    try:
-        return splu(
-            matrix,
-            permc_spec=order,
-            diag_pivot_thresh=0.0,
-            panel_size=_PANEL,
-            options={"SymmetricMode": True},
-        )
-    except RuntimeError as error:
-        raise DegenerateError("the factors do not determine the unknowns") from error
+    def _coupled(self, count: int) -> csc_matrix:
+        """The lower half of a matrix (count, count) that has an entry for each pair of nodes that
+        share a factor.
+        """
+        pairs = [
+            np.sort(self._ranks[numbers][:, np.tril_indices(numbers.shape[1])], axis=1)
+            .transpose(1, 0, 2)
+            .reshape(2, -1)
+            for numbers in self._numbers
+        ]
+        columns, rows = np.hstack(pairs)
+        free = rows < count
+        entries = (np.ones(np.count_nonzero(free)), (rows[free], columns[free]))
+        return csc_matrix(entries, shape=(count, count))
 
 
 @kernel
@@ -318,95 +318,3 @@ def _add_products(
                 gradient[place, i] += by * errors[factor, row]
                 for j in range(gradient.shape[1]):
                     hessian[place, i, j] += by * jacobian[factor, row, j]
-
-
-@kernel
-def _sorted(keys: IntArray, entries: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Those of the entries whose keys are below a number, sorted by their keys, equal ones in the
-    same order; and where each key begins (count + 1,).
-    """
-    ends = np.zeros(count + 1, np.int64)
-    for entry in entries:
-        if keys[entry] < count:
-            ends[keys[entry] + 1] += 1
-    ends = np.cumsum(ends)
-    firsts = ends.copy()
-    found = np.empty(firsts[count], np.int64)
-    for entry in entries:
-        if keys[entry] < count:
-            found[ends[keys[entry]]] = entry
-            ends[keys[entry]] += 1
-    return found, firsts
-
-
-@kernel
-def _places_of_sums(
-    rows: IntArray, columns: IntArray, count: int
-) -> tuple[IntArray, IntArray, IntArray]:
-    """A square matrix with so many columns, as the sum of entries (e,) at rows and columns.
-
-    Sorting by counting is faster than by comparisons.
-
-    Returns
-    -------
-    places, rows, firsts
-        For each entry (e,), its sum, from 1 on, or 0 if it lies outside of the matrix; the row of
-        each sum (s,); and where each column begins (count + 1,).
-    """
-    by_row, _ = _sorted(rows, np.arange(len(rows)), count)
-    order, begins = _sorted(columns, by_row, count)
-    places = np.zeros(len(rows), np.int64)
-    rows_of = np.empty(len(order), np.int32)
-    firsts = np.zeros(count + 1, np.int32)
-    sums = 0
-    for column in range(count):
-        before = -1
-        for entry in order[begins[column] : begins[column + 1]]:
-            if rows[entry] != before:
-                before = rows[entry]
-                rows_of[sums] = before
-                sums += 1
-            places[entry] = sums
-        firsts[column + 1] = sums
-    return places, rows_of[:sums].copy(), firsts
-
-
-@kernel
-def _selected_inverse(
-    firsts: IntArray, rows: IntArray, lower: FloatArray, pivots: FloatArray, inverse: FloatArray
-) -> None:
-    """Entries of (L D L^T)^-1 where L has entries, from the last column to the first.
-
-    K. Takahashi, J. Fagan and M. Chin, "Formation of a sparse bus impedance matrix and its
-    application to short circuit study", 1973: z_ij = -sum over k of z_ik l_kj for i > j, and z_jj =
-    1 / d_j - sum over k of z_kj l_kj.
-
-    Parameters
-    ----------
-    firsts, rows, lower
-        The columns of L by their first entries (n + 1,), and the row and value of each entry (e,).
-        The diagonal, which is 1, is the first entry of each column.
-    pivots
-        The diagonal (n,) of D.
-    inverse
-        Output array (e,).
-    """
-    own = np.zeros(len(pivots))
-    total = np.zeros(len(pivots))
-    for column in range(len(pivots) - 1, -1, -1):
-        begin = firsts[column] + 1
-        end = firsts[column + 1]
-        for entry in range(begin, end):
-            own[rows[entry]] = lower[entry]
-            total[rows[entry]] = 0.0
-        for entry in range(begin, end):
-            other = rows[entry]
-            total[other] += inverse[firsts[other]] * own[other]
-            for place in range(firsts[other] + 1, firsts[other + 1]):
-                total[rows[place]] += inverse[place] * own[other]
-                total[other] += inverse[place] * own[rows[place]]
-        inverse[firsts[column]] = 1.0 / pivots[column]
-        for entry in range(begin, end):
-            inverse[entry] = -total[rows[entry]]
-            inverse[firsts[column]] += total[rows[entry]] * lower[entry]
-            own[rows[entry]] = 0.0

@@ -77,7 +77,7 @@ def _best_face(points: FloatArray, ahead: FloatArray, std: float, width: float) 
     votes = np.where(np.isfinite(heights), ends - np.arange(len(points))[:, None], 0)
     first, best = np.unravel_index(votes.argmax(), votes.shape)
     facing = normals[:, best]
-    height = heights[first, best] + 0.5 * width
+    height = heights[[first, ends[first, best] - 1], best].mean()
     half = 0.5 * width
     for _ in range(_FITS):
         own = np.flatnonzero(

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse.linalg import SuperLU
 
 from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.limits import LINE_PRIOR
@@ -26,7 +25,7 @@ _CHOOSING = 2
 CONVERGED = 1e-3
 """The last step of a solution, m or rad. What remains is of the order of its square."""
 
-_BLOCK = 150  # poses of a block, about
+_BLOCK = 50  # poses of a block, about
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,19 +46,18 @@ class Solution:
         and grazing ones.
     kept
         The columns that are eliminated last, in this order: last poses, calibrations and lines.
-    graph, factors
-        The graph, linearised at the state before the last step, and the factors of its matrix.
+    graph
+        The graph, linearised at the state before the last step.
     """
 
     state: State
     weights: FloatArray
     kept: IntArray
     graph: Graph
-    factors: SuperLU
 
     @cached_property
     def _covariance(self) -> FloatArray:
-        return self.graph.covariance_of_last(self.factors, len(self.kept))
+        return self.graph.covariance_of_last(len(self.kept))
 
     def covariance(self, columns: IntArray) -> FloatArray:
         """Joint covariance of unknowns that are eliminated last, by their columns."""
@@ -103,15 +101,14 @@ def solve(problem: Problem, state: State, labels: IntArray, last: float = CONVER
         # covariance is asked for.
         count = len(kept)
         graph.add_sums(kept[None], np.zeros((1, count, count)), np.zeros((1, count)))
-        solver = graph.factorise()
-        step = -graph.solved(solver, graph.gradient)
+        step = graph.solve()
         if not np.isfinite(step).all():
             raise DegenerateError("the readings do not determine the poses")
         begin = (state, factors)
         state, factors, change = _descended(problem, begin, labels, weights, nodes, step)
         if change < last:
             break
-    return Solution(state, weights, kept, graph, solver)
+    return Solution(state, weights, kept, graph)
 
 
 def _unknowns(problem: Problem, state: State) -> tuple[Nodes, IntArray, IntArray]:

@@ -118,20 +118,38 @@ def solve_annealed(
 
     The kernels are wide first and narrow last.
     """
-    return _solved(integrate(start, hops.motions), hops, loops, _ANNEALING if loops else ())
+    chain = integrate(start, hops.motions)
+    poses, _, weights = _solved(chain, hops, loops, _ANNEALING if loops else ())
+    return poses, weights
 
 
 def _solved(
     poses: FloatArray, hops: Hops, loops: Sequence[Loop], annealing: Sequence[float]
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, Graph, FloatArray]:
+    """The poses after kernels that are wider by successive factors, the graph about them, and the
+    weights of the loops.
+    """
+    graph = Graph(Nodes(poses=(len(poses), 3)))
+    first = np.arange(len(poses) - 1)
+    certainty = np.asarray(np.linalg.inv(hops.covariances))
+    chain = np.column_stack((first, first + 1)), hops.motions, certainty
+    closures = relations_of(loops)
+
+    def linearise(factor: float) -> FloatArray:
+        graph.clear()
+        graph.add_robust(relation(poses, *chain), cauchy(_HOP_KERNEL * factor))
+        return graph.add_robust(relation(poses, *closures), loop_kernel(factor))
+
     for factor in annealing:
         for _ in range(_ITERATIONS):
-            step = _graph(poses, hops, loops, factor)[0].solve().reshape(-1, 3)
+            linearise(factor)
+            step = graph.solve().reshape(-1, 3)
             poses = poses + step
             poses[:, 2] = se2.wrap_angle(poses[:, 2])
             if np.abs(step).max() < _TOLERANCE:
                 break
-    return poses, _graph(poses, hops, loops, 1.0)[1]
+    weights = linearise(1.0)
+    return poses, graph, weights
 
 
 def carry_over(
@@ -155,19 +173,6 @@ def carry_over(
     moved += share[:, None] * apart
     moved[:, 2] = se2.wrap_angle(moved[:, 2])
     return Trajectory(moved, trajectory.bias)
-
-
-def _graph(
-    poses: FloatArray, hops: Hops, loops: Sequence[Loop], factor: float
-) -> tuple[Graph, FloatArray]:
-    """The graph with kernels that are wider by a factor, and the weights of the loops."""
-    graph = Graph(Nodes(poses=(len(poses), 3)))
-    first = np.arange(len(poses) - 1)
-    certainty = np.asarray(np.linalg.inv(hops.covariances))
-    chain = relation(poses, np.column_stack((first, first + 1)), hops.motions, certainty)
-    graph.add_robust(chain, cauchy(_HOP_KERNEL * factor))
-    closures = relation(poses, *relations_of(loops))
-    return graph, graph.add_robust(closures, loop_kernel(factor))
 
 
 class ChunkGraph:
@@ -232,7 +237,7 @@ class ChunkGraph:
         if len(self.poses) == 1:
             return np.zeros((*factors.errors.shape, factors.errors.shape[1]))
         if self._graph is None:
-            self._graph = _graph(self.poses, self.hops, self.loops, 1.0)[0]
+            _, self._graph, _ = _solved(self.poses, self.hops, self.loops, ())
         return self._graph.covariances(factors)
 
     def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
@@ -255,8 +260,7 @@ class ChunkGraph:
     def close(self, found: Sequence[Loop]) -> None:
         """Add loops and solve the graph."""
         self.loops += found
-        self.poses, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
-        self._graph = None
+        self.poses, self._graph, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
 
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""

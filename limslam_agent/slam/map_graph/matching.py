@@ -38,11 +38,15 @@ LEAST_POINTS = 20
 20 points is only e^5 = 150 times as likely as a fit in unknown cells, and a search compares
 thousands of poses.
 """
-_FAR_CELLS = 60  # by which points are shifted to see how well a match is known
+FAR_CELLS = 60
+"""Cells by which points are shifted to see how well a match is known."""
 _FALL = 3.0  # the loss of log-likelihood at a few standard deviations, as of a box beside a wall
-# share of the points that have to lie in known cells after a shift, to tell whether they fit there
-_SEEN = 1.0 / 3.0
-_UNKNOWN_STD = 30.0  # m, of a match along a direction in which nothing speaks against any shift
+SEEN = 1.0 / 3.0
+"""Share of the points that have to lie in known cells after a shift, to tell whether they fit
+there.
+"""
+UNKNOWN_STD = 30.0
+"""Standard deviation of a match along a direction in which nothing speaks against any shift, m."""
 
 
 class SearchGrid(NamedTuple):
@@ -148,11 +152,29 @@ def match_covariance(
     apart = offsets - mean
     pose = pose + mean
     covariance = (apart * weight.reshape(-1, 1)).T @ apart + np.diag(np.square(_FLOOR_STDS))
-    along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
-    turned = se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
-    lost, tells = _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
-    missing = _variance_along(lost, tells, grid.cell) - along @ covariance @ along
+    along = least_known(covariance)
+    missing = variance_along(lost_along(grid, points, pose, backward, along), grid.cell)
+    missing -= along @ covariance @ along
     return pose, covariance + max(missing, 0.0) * np.outer(along, along)
+
+
+def least_known(covariance: FloatArray) -> FloatArray:
+    """The direction (3,), without a turn, along which a pose with a covariance (3, 3) is known
+    least.
+    """
+    return np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
+
+
+def lost_along(
+    grid: SearchGrid,
+    points: FloatArray,
+    pose: FloatArray,
+    backward: tuple[SearchGrid, FloatArray],
+    along: FloatArray,
+) -> FloatArray:
+    """As :func:`_lost`, of the points of both chunks of a match."""
+    turned = se2.compose(np.array([0.0, 0.0, -pose[2]]), along)
+    return _lost(grid, points, pose, along) + _lost(*backward, se2.inverse(pose), -turned)
 
 
 def _scores_around(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> FloatArray:
@@ -166,34 +188,35 @@ def _scores_around(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> Fl
 
 
 def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatArray) -> FloatArray:
-    """How many points (2, 2 ``_FAR_CELLS`` + 1) no longer fit if all are shifted along a direction
+    """How many points (2, 2 ``FAR_CELLS`` + 1) no longer fit if all are shifted along a direction
     (3,), cell by cell, and how many tell.
 
     Two chunks of one corridor fit best where they overlap most, since unknown cells count for
     nothing in a score. That says nothing about the distance along the corridor, so only points
     count here that lie in known cells before and after a shift.
     """
-    shifts = grid.cell * np.arange(-_FAR_CELLS, _FAR_CELLS + 1)[:, None] * along[:2]
+    shifts = grid.cell * np.arange(-FAR_CELLS, FAR_CELLS + 1)[:, None] * along[:2]
     cells = grid.at(se2.transform_points(pose, points)[:, None] + shifts)
-    unshifted = cells[:, [_FAR_CELLS]]
+    unshifted = cells[:, [FAR_CELLS]]
     tells = (cells != 0) & (unshifted != 0)
     return np.array([(tells * (unshifted - cells)).sum(axis=0) / HIT, tells.sum(axis=0)])
 
 
-def _variance_along(lost: FloatArray, tells: FloatArray, cell: float) -> float:
+def variance_along(both: FloatArray, cell: float) -> float:
     """Variance, m^2, from the points that are lost, and those that tell, after shifts
-    (2 ``_FAR_CELLS`` + 1,) to both sides.
+    (2, 2 ``FAR_CELLS`` + 1) to both sides.
 
     Along equal rooms, the likelihood falls and rises again. All matches there have the same rivals,
     so together they tell no more than one of them.
     """
+    lost, tells = both
     is_less = _SHARPNESS * lost >= _FALL
-    has_seen = tells >= _SEEN * tells[_FAR_CELLS]
-    sides = (is_less & has_seen)[_FAR_CELLS::-1], (is_less & has_seen)[_FAR_CELLS:]
+    has_seen = tells >= SEEN * tells[FAR_CELLS]
+    sides = (is_less & has_seen)[FAR_CELLS::-1], (is_less & has_seen)[FAR_CELLS:]
     falls = [int(np.argmax(side)) for side in sides]
-    rivals = np.abs(np.flatnonzero(~is_less & has_seen) - _FAR_CELLS)
+    rivals = np.abs(np.flatnonzero(~is_less & has_seen) - FAR_CELLS)
     if not all(falls) or rivals.max() > max(falls):
-        return _UNKNOWN_STD**2
+        return UNKNOWN_STD**2
     return (cell * max(falls)) ** 2 / (2.0 * _FALL)
 
 

@@ -109,7 +109,9 @@ def _links(
     """
     index = _index(cloud.places, cloud.travel, radius)
     limits = np.array([MIN_COSINE, most_off])
-    return _nearest(index, cloud, np.array(borders), limits)
+    found = _nearest(index, cloud, np.array(borders), limits)
+    points, bands = np.nonzero(found >= 0)
+    return np.column_stack((points, found[points, bands]))
 
 
 class _Index(NamedTuple):
@@ -130,24 +132,31 @@ def _index(places: FloatArray, travel: FloatArray, side: float) -> _Index:
 
 
 @kernel
-def _around(index: _Index, point: int, reach: float, out: IntArray) -> int:
-    """Set the first numbers to the points in the cells around a point, up to a distance driven from
-    it, and return their number.
+def _around(index: _Index, place: int, reach: float, cells: IntArray, out: IntArray) -> int:
+    """Set the first numbers to the points around the one at a place of the order, up to a distance
+    driven from it, and return their number.
+
+    The points are visited in their order. Those of a cell have the same cells (9, 2) around them,
+    whose begins move on to where no point lies too far behind.
     """
     count = 0
-    column = int(np.floor(index.places[point, 0] / index.side))
-    row = int(np.floor(index.places[point, 1] / index.side))
+    point = index.order[place]
     middle = index.travel[point]
-    for a in range(column - 1, column + 2):
-        for b in range(row - 1, row + 2):
-            begin = np.searchsorted(index.cells, a * _ROW + b)
-            end = np.searchsorted(index.cells, a * _ROW + b + 1)
-            for other in index.order[begin:end]:
-                if index.travel[other] > middle + reach:
-                    break
-                if index.travel[other] >= middle - reach:
-                    out[count] = other
-                    count += 1
+    is_new = place == 0 or index.cells[place] != index.cells[place - 1]
+    for k in range(9):
+        if is_new:
+            column = int(np.floor(index.places[point, 0] / index.side)) + k // 3 - 1
+            cell = column * _ROW + int(np.floor(index.places[point, 1] / index.side)) + k % 3 - 1
+            cells[k, 0] = np.searchsorted(index.cells, cell)
+            cells[k, 1] = np.searchsorted(index.cells, cell + 1)
+        for other in index.order[cells[k, 0] : cells[k, 1]]:
+            if index.travel[other] > middle + reach:
+                break
+            if index.travel[other] < middle - reach:
+                cells[k, 0] += 1
+            else:
+                out[count] = other
+                count += 1
     return count
 
 
@@ -159,12 +168,14 @@ def _normals(
     normals = np.zeros((count, 2))
     good = np.zeros(count, np.bool_)
     near = np.empty(count, np.int64)
+    cells = np.empty((9, 2), np.int64)
     per_metre = (index.side / reach) ** 2
-    for i in range(count):
+    for place in range(count):
+        i = index.order[place]
         x = index.places[i, 0]
         y = index.places[i, 1]
         n = sx = sy = sxx = syy = sxy = 0.0
-        for j in near[: _around(index, i, reach, near)]:
+        for j in near[: _around(index, place, reach, cells, near)]:
             dx = index.places[j, 0] - x
             dy = index.places[j, 1] - y
             ds = index.travel[j] - index.travel[i]
@@ -215,20 +226,21 @@ def _band(gap: float, borders: FloatArray) -> int:
 
 @kernel
 def _nearest(index: _Index, cloud: PointCloud, borders: FloatArray, limits: FloatArray) -> IntArray:
+    """The nearest point (p, bands) that each point is linked to in each band; -1 for none."""
     bands = len(borders) - 1
     reach = borders[bands]
     per_metre = (index.side / reach) ** 2
-    links = np.empty((len(cloud.places) * bands, 2), np.int64)
-    count = 0
+    found = np.full((len(cloud.places), bands), -1)
     near = np.empty(len(cloud.places), np.int64)
-    best = np.empty(bands, np.int64)
+    cells = np.empty((9, 2), np.int64)
     nearest = np.empty(bands)
-    for i in range(len(cloud.places)):
+    for place in range(len(cloud.places)):
+        i = index.order[place]
+        around = near[: _around(index, place, reach, cells, near)]
         if not cloud.good[i]:
             continue
-        best[:] = -1
         nearest[:] = index.side**2
-        for j in near[: _around(index, i, reach, near)]:
+        for j in around:
             gap = abs(cloud.travel[j] - cloud.travel[i])
             if not cloud.good[j] or gap < borders[0] or cloud.key[j] == cloud.key[i]:
                 continue
@@ -242,11 +254,6 @@ def _nearest(index: _Index, cloud: PointCloud, borders: FloatArray, limits: Floa
             ny = cloud.normals[j, 1]
             cosine = cloud.normals[i, 0] * nx + cloud.normals[i, 1] * ny
             if cosine > limits[0] and abs(dx * nx + dy * ny) < limits[1]:
-                best[band] = j
+                found[i, band] = j
                 nearest[band] = square
-        for band in range(bands):
-            if best[band] >= 0:
-                links[count, 0] = i
-                links[count, 1] = best[band]
-                count += 1
-    return links[:count].copy()
+    return found

@@ -2,7 +2,7 @@
 
 The equations are those that gave the path. A stretch that no loop and no other visit holds is known
 as exactly as odometry and its links say. How good the
-odometry is follows from the path itself: its variances are estimated by expectation maximisation.
+odometry is follows from the path itself: its variances are estimated by their evidence.
 """
 
 from collections.abc import Callable
@@ -20,8 +20,8 @@ from limslam_agent.slam.map_graph.smoothing import bundle_graph
 from limslam_env.geometry import FloatArray
 
 _MOST = 60  # windows over which odometry is judged, and poses of a path that are judged
-_ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
-_ASSUMED = 0.2  # windows by which the assumed variances of odometry count
+_ITERATIONS = 3  # of the variances; where a path follows odometry alone, nothing changes
+_ASSUMED = 0.2  # windows that tell all, by which the assumed variances of odometry count
 _LEAST_STD = 1e-5  # of a constant error of odometry
 
 
@@ -48,8 +48,8 @@ def covariance_in(graph: Graph, keys: KeyPoses, trajectory: Trajectory) -> Float
     columns = graph.nodes.columns("poses")[numbers, :2].ravel()
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
-    covariance = graph.solved(graph.factorise(), rows)[columns]
-    return aligned_covariance(covariance, trajectory.poses[numbers, :2])
+    white = graph.whitened(rows)
+    return aligned_covariance(white.T @ white, trajectory.poses[numbers, :2])
 
 
 def with_learned_noise(
@@ -73,7 +73,7 @@ def with_learned_errors(
     columns = graph.nodes.columns("errors")[0]
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
-    variances = np.diag(graph.solved(graph.factorise(), rows)[columns])
+    variances = (graph.whitened(rows) ** 2).sum(axis=0)
     config = keys.config
     learned = trajectory.bias**2 + chance * variances
     stds = np.sqrt(np.clip(learned, _LEAST_STD**2, np.square(config.motion.stds)))
@@ -106,9 +106,10 @@ def rigid_motions(positions: FloatArray) -> FloatArray:
 def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> FloatArray:
     """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
 
-    One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the
-    errors of odometry over two chunks, since they last for seconds, and their posterior variances
-    in the graph of the path.
+    The squares of the errors of odometry over two chunks, since they last for seconds, by what the
+    graph of the path tells of them: one less the share of the variance that remains (MacKay, 1992).
+    A window that tells nothing has no weight, so few steps are enough. The square root damps them,
+    since the path stays the same.
     """
     factors = odometry(keys, trajectory)
     errors = factors.errors
@@ -118,16 +119,18 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, graph: Graph) -> Flo
     ends = np.minimum(np.searchsorted(driven, driven[begins] + 2.0 * half), len(errors))
     begins = np.minimum(begins, ends - 1)
     columns = graph.nodes.columns_of(factors.keys)
-    ratios = np.zeros((len(begins), 3))
+    squares = np.zeros((len(begins), 3))
+    told = np.zeros((len(begins), 3))
     # One window at a time, since each needs dense columns of all unknowns.
     for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         rows = np.zeros((graph.nodes.size, 3))
         for part in range(3):
             np.add.at(rows[:, part], columns[begin:end], factors.jacobian[begin:end, part])
-        posterior = (rows * graph.solved(graph.factorise(), rows)).sum(axis=0)
-        squares = errors[begin:end].sum(axis=0) ** 2
-        ratios[window] = (squares + posterior) / keys.step_variances[begin:end].sum(axis=0)
-    return np.asarray((ratios.sum(axis=0) + _ASSUMED) / (len(ratios) + _ASSUMED))
+        posterior = (graph.whitened(rows) ** 2).sum(axis=0)
+        variances = keys.step_variances[begin:end].sum(axis=0)
+        squares[window] = errors[begin:end].sum(axis=0) ** 2 / variances
+        told[window] = np.maximum(1.0 - posterior / variances, 0.0)
+    return np.asarray(np.sqrt((squares.sum(axis=0) + _ASSUMED) / (told.sum(axis=0) + _ASSUMED)))
 
 
 def _evenly(length: float, apart: float) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations
-from limslam_agent.slam.map_graph.agreement import supported, visit_counts
+from limslam_agent.slam.map_graph.agreement import judged_together, supported, visit_counts
 from limslam_agent.slam.map_graph.chunk_graph import (
     KEPT,
     KEPT_WEIGHT,
@@ -59,9 +59,9 @@ _SYNCHRONOUS = 0.02
 # How often the noise of odometry is learned, as long as its variance falls below this share
 _LEARNED = 3
 _BETTER = 0.5
-# How many variances of their estimates count in the priors of the constant errors: in the smoothing
-# an estimate has to exceed three standard deviations
-_SHRUNK = -9.0
+# How many variances of their estimates count in the priors of the constant errors: with none, an
+# estimate that is not evident shrinks towards zero
+_SHRUNK = 0.0
 _STATED = 1.0
 _CAUTION = 2.0  # of the variances of odometry alone, where they limit those of hops
 # Where visits contradict each other, hops as near as this, in lengths of chunks, have these further
@@ -139,9 +139,10 @@ def rounds(
     has_points = len(keys.point_event) > 0
     has_loops = has_points and len(chunk_middles(keys, config.maps.hop)) > 1
     doubtful = np.zeros(0, dtype=np.int64)
+    covariances = hop_covariances(keys, local) if has_loops else np.zeros((0, 3, 3))
     while True:
         if has_loops:
-            found = smooth_with_loops(keys, local, trajectory, report, doubtful)
+            found = smooth_with_loops(keys, covariances, trajectory, report, doubtful)
             doubtful = visit_counts(keys, found.trajectory).doubtful()
         else:
             kind = "local" if has_points else "odometry"
@@ -199,30 +200,33 @@ def by_odometry(found: GraphResult, start: FloatArray) -> tuple[GraphResult, Flo
 
 def smooth_with_loops(
     keys: KeyPoses,
-    local: Trajectory,
+    covariances: FloatArray,
     trajectory: Trajectory,
     report: Report,
     doubtful: IntArray | None = None,
 ) -> GraphResult:
     """Find the loops between chunks that are cut from a trajectory, and solve for all key poses.
 
-    The trajectory ``local`` without loops tells how well the motions between the chunks are known.
+    The motions between the chunks have the covariances (c - 1, 3, 3) of :func:`hop_covariances`.
     Around ``doubtful`` key poses, where visits of a place contradict each other, they are bent.
     """
     maps = keys.config.maps
     report("search for loops")
     middles = chunk_middles(keys, maps.hop)
     poses = trajectory.poses[middles]
-    covariances = _hop_covariances(keys, local, middles)
     if doubtful is not None and len(doubtful):
         travel = keys.key_travel
         away = np.abs(travel[middles[1:], None] - travel[doubtful]).min(axis=1)
-        covariances[away < _BENT_WITHIN * maps.length] += np.diag(np.square(_BENT_STDS))
+        bent = away < _BENT_WITHIN * maps.length
+        covariances = covariances + bent[:, None, None] * np.diag(np.square(_BENT_STDS))
     hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-    found = search_loops(cut_chunks(keys, trajectory, middles), poses[0], hops, maps)
+    chunks = cut_chunks(keys, trajectory, middles)
+    found = search_loops(chunks, poses[0], hops, maps)
     good = supported(found, poses, keys.key_travel[middles], maps.hop)
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
+    solved, _ = solve_annealed(poses[0], hops, loops)
+    loops = judged_together(loops, solved, chunks, maps)
     solved, weights = solve_annealed(poses[0], hops, loops)
     judged = [
         replace(loop, reason=KEPT if weight > KEPT_WEIGHT else OUTVOTED)
@@ -238,10 +242,11 @@ def smooth_with_loops(
     return GraphResult("loops", keys, smoothed, smoothed.bias, judged, middles)
 
 
-def _hop_covariances(keys: KeyPoses, local: Trajectory, middles: IntArray) -> FloatArray:
+def hop_covariances(keys: KeyPoses, local: Trajectory) -> FloatArray:
     """Covariances (c - 1, 3, 3) of the motions between chunks by the local graph, which are at most
     those by odometry alone, with its constant errors as far as the log tells them.
     """
+    middles = chunk_middles(keys, keys.config.maps.hop)
     keys = with_learned_errors(keys, local, cautious_graph(keys, local), _STATED)
     by_links, by_odometry = (
         motion_covariances(graph(keys, local), local.poses, middles)

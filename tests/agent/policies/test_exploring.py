@@ -50,6 +50,19 @@ def test_without_a_frontier_it_stops_at_once() -> None:
     assert len(policy.plan) == 0
 
 
+def test_in_front_of_a_corner_it_turns_round_before_it_ends() -> None:
+    # The group of frontier cells is smaller than a frontier.
+    corner = grid_of("####", "#..#", "#..?", "####")
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    pose = place(1, 1)
+    turned = 0.0
+    while policy.stop_reason is None:
+        after = drive(pose, policy.act(belief_of(pose, corner)))
+        turned += float(se2.wrap_angle(after[2] - pose[2]))
+        pose = after
+    assert turned == pytest.approx(2.0 * math.pi, abs=0.5)
+
+
 def test_in_another_frame_it_plans_anew() -> None:
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions_until_stopped(policy, belief_of(place(4, 4), CLOSED))

@@ -12,7 +12,7 @@ from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig,
 from limslam_agent.slam.graph.factors import geman_mcclure, prior, relation
 from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
 from limslam_agent.slam.map_graph import matching
-from limslam_agent.slam.map_graph.agreement import VisitCounts, supported
+from limslam_agent.slam.map_graph.agreement import VisitCounts, judged_together, supported
 from limslam_agent.slam.map_graph.chunk_graph import (
     ChunkGraph,
     Hops,
@@ -552,6 +552,42 @@ def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
     found = supported([*pair, astray, *same_chunk], truth, travel, 2.5)
     assert found.tolist() == [True, True, False, False, False]
     assert supported([], truth, travel, 2.5).tolist() == []
+
+
+def test_a_loop_that_is_free_along_a_corridor_supports_none_that_claims_to_know(truth):
+    travel = 2.5 * np.arange(len(truth))
+    exact, other = loops_of(truth, [(0, 24), (1, 25)])
+    free = replace(other, information=np.diag([30.0**-2, 100.0, 1000.0]))
+    assert supported([exact, free], truth, travel, 2.5).tolist() == [False, True]
+
+
+def stretch_of_equal_niches(number, posts):
+    """A chunk whose middle is at x = 2.5 ``number`` m of a corridor with posts, m."""
+    middle = 2.5 * number
+    x = np.arange(middle - 3.5, middle + 3.5, 0.05)
+    aside = np.where(np.abs(x[:, None] - posts).min(axis=1) < 0.3, 0.6, 1.0)
+    places = np.vstack([np.column_stack((x - middle, side * aside)) for side in (1.0, -1.0)])
+    origins = places * (1.0, 0.0)
+    grid = draw_grid(places, origins, 5.0, MAPS)
+    return LocalMap(middle, thinned(places, MAPS.cell), grid, MAPS.cell)
+
+
+def test_a_row_of_loops_tells_equal_rooms_apart():
+    # One post of a row is missing.
+    posts = np.delete(np.arange(-6.0, 40.0, 3.0), 6)
+    maps = [stretch_of_equal_niches(number, posts) for number in range(12)]
+    later = [replace(each, travel=each.travel + 100.0) for each in maps]
+    poses = np.column_stack((2.5 * np.arange(12.0), np.zeros(12), np.zeros(12)))
+    # The second visit is believed one post further on.
+    believed = np.vstack((poses, poses + np.array([3.0, 0.0, 0.0])))
+    free = np.diag([30.0**-2, 100.0, 1000.0])
+    loops = [Loop(each, 12 + each, np.array([1.0, 0.0, 0.0]), free, 0.8) for each in range(12)]
+    row = judged_together(loops, believed, maps + later, MAPS)
+    found = np.array([loop.relative[0] for loop in row[2:8]])
+    np.testing.assert_allclose(found, 0.0, atol=0.11)
+    assert all(loop.information[0, 0] > 0.5 for loop in row[2:8])
+    (alone,) = judged_together(loops[11:], believed, maps + later, MAPS)
+    assert alone.information[0, 0] < 30.0**-2 * 1.1
 
 
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
