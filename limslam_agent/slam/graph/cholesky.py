@@ -43,6 +43,8 @@ def panels(coupled: csc_matrix, widths: IntArray) -> Panels:
     firsts, found = _filled(coupled.indptr, coupled.indices)
     starts = np.append(0, np.cumsum(widths))
     sizes = np.diff(firsts)
+    found = found[: firsts[-1]]
+    found = found[np.lexsort((found, np.repeat(np.arange(count), sizes)))]
     is_first = np.ones(count, dtype=np.bool_)
     following = found[firsts[:-2] + 1] == np.arange(1, count)
     is_first[1:] = (sizes[1:] != sizes[:-1] - 1) | ~following
@@ -72,8 +74,8 @@ def sparse_order(coupled: csc_matrix) -> IntArray:
 
 @kernel
 def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
-    """The columns of a factor, as those of its matrix. An elimination couples all nodes that its
-    node was coupled with.
+    """Where the columns of a factor begin (n + 1,), and their rows, of which the diagonal is the
+    first. An elimination couples all nodes that its node was coupled with.
     """
     count = len(firsts) - 1
     found = np.empty(2 * len(rows) + count, np.int64)
@@ -82,14 +84,19 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
     sibling = np.full(count, -1)
     seen = np.full(count, -1)
     for node in range(count):
-        begin = end = ends[node]
-        if begin + count > len(found):
-            found = np.append(found, np.empty(len(found) + count, np.int64))
+        end = ends[node]
+        if end + count > len(found):
+            wider = np.empty(2 * len(found) + count, np.int64)
+            for place in range(end):
+                wider[place] = found[place]
+            found = wider
+        after = count
         for row in rows[firsts[node] : firsts[node + 1]]:
             seen[row] = node
             found[end] = row
             end += 1
-        own = end
+            if row > node:
+                after = min(after, row)
         each = child[node]
         while each >= 0:
             for row in found[ends[each] + 1 : ends[each + 1]]:
@@ -97,14 +104,13 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
                     seen[row] = node
                     found[end] = row
                     end += 1
+                    after = min(after, row)
             each = sibling[each]
-        if end > own:
-            found[begin:end].sort()
         ends[node + 1] = end
-        if end > begin + 1:
-            sibling[node] = child[found[begin + 1]]
-            child[found[begin + 1]] = node
-    return ends, found[: ends[count]].copy()
+        if after < count:
+            sibling[node] = child[after]
+            child[after] = node
+    return ends, found
 
 
 @kernel
