@@ -50,10 +50,9 @@ from limslam_env.messages import counted
 # Median spacings of the rows of a control loop, by which the unit of its times is found.
 _SPACINGS = {"ms": (10.0, 2e3), "us": (2e3, 2e6), "ns": (2e6, 1e10)}
 _MOST_IGNORED = 12  # columns in a note
-# A clock in ms or us begins again after so many counts: that of 32 bits in us every 72 minutes. A
-# clock of the day begins again after so many s. The longest time between two rows in which one
-# does, s
-_CLOCK_COUNTS = (2.0**16, 2.0**32)
+# A clock in ms or us begins again after so many counts: that in us every 72 minutes. A clock of the
+# day begins again after so many s. The longest time between two rows in which one does, s
+_CLOCK_COUNTS = 2.0**32
 _DAY = 86400.0
 _LONGEST_PAUSE = 10.0
 _WORDS = {
@@ -281,9 +280,10 @@ def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
     """Times (n,), s, of a clock that counts in ``unit``, s, and begins again when it is full, or at
     midnight. A late row after that is still from before.
     """
-    for turn in (*(counts * unit for counts in _CLOCK_COUNTS), _DAY):
+    for turn in (_CLOCK_COUNTS * unit, _DAY):
         steps = np.diff(time, prepend=time[:1])
-        begins = (steps < -LARGEST_STEP_BACK) & (np.abs(steps + turn) < _LONGEST_PAUSE)
+        since = steps + turn
+        begins = (steps < -LARGEST_STEP_BACK) & (since >= 0.0) & (since < _LONGEST_PAUSE)
         is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
         time = time + turn * (np.cumsum(begins) - np.cumsum(is_late))
     return time

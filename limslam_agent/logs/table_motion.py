@@ -267,9 +267,16 @@ class Odometry:
         return np.diff(self._joined(column), prepend=column[:1])
 
     def _joined(self, column: FloatArray) -> FloatArray:
-        """A column (n,) that goes on where the board was switched on again."""
-        steps = np.nan_to_num(np.diff(column, prepend=column[:1]))
-        return np.asarray(column - np.cumsum(np.where(self._begins, steps, 0.0)))
+        """A column (n,), NaN where it is not known, that goes on where the board was switched on
+        again.
+        """
+        column = column.copy()
+        known = np.flatnonzero(np.isfinite(column))
+        for begin in np.flatnonzero(self._begins):
+            after = int(np.searchsorted(known, begin))
+            if 0 < after < len(known):
+                column[begin:] -= column[known[after]] - column[known[after - 1]]
+        return column
 
     def _heading(self) -> FloatArray:
         """The heading of poses (n,), rad."""

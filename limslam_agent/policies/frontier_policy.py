@@ -67,7 +67,6 @@ class FrontierPolicy(MapExplorer):
         self._wall_follower = WallFollower(robot, self._config)
         # How far the robot has still to turn, rad, until it has looked around.
         self._to_turn = 2.0 * math.pi
-        self._turned_from: float | None = None
         super().__init__(robot)
 
     def _forget_map(self) -> None:
@@ -77,6 +76,7 @@ class FrontierPolicy(MapExplorer):
 
     def _plan_anew(self) -> None:
         self._drop()
+        self._turned_from: float | None = None
         self._attempts = Attempts()
         # Whether the map has not grown since the robot turned to its goal.
         self._is_vain = True

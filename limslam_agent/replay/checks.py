@@ -51,9 +51,8 @@ def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list
     ``misreading`` is what `limslam_agent.replay.misreading.misread` has found.
     """
     clock = _clock(log)
-    odometry = "" if clock else _poses(log) or _wheels(log) or _counts(log)
-    if misreading is not None and not (clock or odometry):
-        odometry = misreading.words
+    found = "" if misreading is None else misreading.words
+    odometry = "" if clock else _poses(log) or _wheels(log) or found or _counts(log)
     breaks = [breaks_in_words(log.breaks) if log.breaks else "", _uncounted(log), _long_steps(log)]
     ranges = [*log.readings_notes, _ranges(log), _beams(log)]
     return [line for line in (*log.notes, clock, *breaks, *ranges, odometry) if line]
@@ -231,8 +230,8 @@ def _counts(log: RecordedLog) -> str:
         return ""
     if (wheels >= 0.0).all():
         return (
-            "no wheel ever counts backwards: if the robot has turned on the spot or driven back, "
-            "its encoders do not tell the direction, and the map is wrong"
+            "no wheel ever turns backwards: if the robot has turned on the spot or driven back, "
+            "the direction of its wheels is not measured, and the map is wrong"
         )
     reach = float(np.ptp(np.cumsum(wheels, axis=0), axis=0).max())
     if reach > _GOES_NOWHERE * most:

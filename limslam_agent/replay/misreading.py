@@ -229,7 +229,8 @@ def _remedy_of_beams(log: RecordedLog) -> str:
     """
     names = [_BEAM.sub(lambda found: found[1] + "-" * (not found[2]), name) for name in log.header]
     angles = log.robot.beam_angles
-    is_even = bool(np.isclose(angles[:, None], -angles, atol=_SAME_ANGLE).any(axis=1).all())
+    apart = np.abs(se2.wrap_angle(angles[:, None] + angles))
+    is_even = bool((apart <= _SAME_ANGLE).any(axis=1).all())
     if not is_even or not any(column_of(name).role in _OF_WHEELS for name in names):
         return ""
     columns = ",".join(names)

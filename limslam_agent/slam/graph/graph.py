@@ -180,7 +180,8 @@ class Graph:
         """Add sums over factors: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
         if not len(columns):
             return
-        self._factor = None
+        if self._factor is not None:
+            raise ValueError("factors are added before a graph is solved, or after it is cleared")
         self._hessians.append(hessian)
         if len(self._numbers) < len(self._hessians):
             self._panels = None
@@ -198,13 +199,14 @@ class Graph:
         """
         panels = self._panels or self._found_panels()
         if self._factor is None:
-            self._factor = np.zeros(panels.begins[-1])
+            factor = np.zeros(panels.begins[-1])
             for numbers, hessian in zip(self._numbers, self._hessians, strict=True):
                 widths = self.nodes.widths[numbers[0]]
-                cholesky.add_blocks(panels, self._ranks[numbers], widths, hessian, self._factor)
-            self._hessians.clear()
-            if not cholesky.factorise(panels, self._factor):
+                cholesky.add_blocks(panels, self._ranks[numbers], widths, hessian, factor)
+            if not cholesky.factorise(panels, factor):
                 raise DegenerateError("the factors do not determine the unknowns")
+            self._factor = factor
+            self._hessians.clear()
         return panels, self._factor
 
     def solve(self) -> FloatArray:
@@ -281,8 +283,8 @@ class Graph:
         return self._panels
 
     def _coupled(self, count: int) -> csc_matrix:
-        """The lower half of a matrix (count, count) that has an entry for each pair of nodes that
-        share a factor.
+        """The lower half of a matrix (count, count) that has an entry for each node, and for each
+        pair of nodes that share a factor.
         """
         pairs = [
             np.sort(self._ranks[numbers][:, np.tril_indices(numbers.shape[1])], axis=1)
@@ -290,7 +292,7 @@ class Graph:
             .reshape(2, -1)
             for numbers in self._numbers
         ]
-        columns, rows = np.hstack(pairs)
+        columns, rows = np.hstack([*pairs, np.tile(np.arange(count), (2, 1))])
         free = rows < count
         entries = (np.ones(np.count_nonzero(free)), (rows[free], columns[free]))
         return csc_matrix(entries, shape=(count, count))

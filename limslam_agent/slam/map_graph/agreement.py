@@ -112,6 +112,8 @@ def judged_together(
         each: search_grid(maps[each].grid, config.cell, 0.0)
         for each in {*first[free].tolist(), *second[free].tolist()}
     }
+    # Of shifts that lose as little, the least one counts.
+    nearest = np.argsort(np.abs(np.arange(2 * FAR_CELLS + 1) - FAR_CELLS), kind="stable")
     judged = list(loops)
     for number in free:
         same = np.round(in_world @ in_world[number])
@@ -128,17 +130,19 @@ def judged_together(
                 pose = relative[each] + shift * way
                 both += share * lost_along(grids[one], maps[other].points, pose, back, way)
             seen = both[1] >= SEEN * both[1, FAR_CELLS]
-            best = int(np.argmin(np.where(seen, both[0], np.inf))) - FAR_CELLS
+            best = int(nearest[np.argmin(np.where(seen, both[0], np.inf)[nearest])]) - FAR_CELLS
             if abs(best) <= 1:
                 break
             shift += best * config.cell
         variance = len(row) * variance_along(both, config.cell)
         if abs(best) <= 1 and variance < variances[number]:
             way = along[number]
+            loop = loops[number]
+            moved = shift + way @ (relative[number] - loop.relative)
             known = covariances[number] + (variance - variances[number]) * np.outer(way, way)
             judged[number] = replace(
-                loops[number],
-                relative=relative[number] + shift * way,
+                loop,
+                relative=loop.relative + moved * way,
                 information=np.asarray(np.linalg.inv(known)),
             )
     return judged

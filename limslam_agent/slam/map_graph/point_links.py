@@ -133,8 +133,8 @@ def _index(places: FloatArray, travel: FloatArray, side: float) -> _Index:
 
 @kernel
 def _around(index: _Index, place: int, reach: float, cells: IntArray, out: IntArray) -> int:
-    """Set the first numbers to the points around the one at a place of the order, up to a distance
-    driven from it, and return their number.
+    """Set the first numbers to the points around a point, which has a place in the order, up to a
+    distance driven from it, and return their number.
 
     The points are visited in their order. Those of a cell have the same cells (9, 2) around them,
     whose begins move on to where no point lies too far behind.

@@ -95,9 +95,9 @@ def driven_backwards(
     views = _LocalViews(data, config)
     latest = views.travel[-1] - _BEYOND
     for begin, end in _stretches(data, views.driven).tolist():
-        turned = views.moves[begin:end, 0] < 0.0
-        if turned.any():
-            rest = end - int(turned[::-1].argmax())
+        backwards = views.moves[begin:end, 0].clip(max=0.0)
+        if -backwards.sum() >= LEAST_LENGTH:
+            rest = end - int((backwards[::-1] < 0.0).argmax())
             if views.driven[end] - views.driven[rest] > STANDING:
                 yield rest, end, False
         elif begin >= after and views.travel[begin] <= latest:

@@ -174,6 +174,27 @@ def test_a_second_drive_in_a_file_follows_the_first_one(write, header_again, fir
     assert log.notes[-1].startswith("the log begins again at 4.")
 
 
+@pytest.mark.parametrize(("unit", "ended"), [("us", 5.0), ("ms", 60.0), ("ms", 65.5)])
+def test_a_clock_that_begins_again_is_not_taken_for_a_full_one(write, unit, ended):
+    each = {"us": 1e6, "ms": 1e3}[unit]
+    times = [*np.arange(0.0, ended, 0.1), *np.arange(0.0, ended, 0.1)]
+    rows = [f"{each * time:.0f},0.01,0.01,1.5\n" for time in times]
+    log = read_log(write(AHEAD, *rows), table=replace(ONE_BEAM, time_unit=unit))
+    assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert log.notes[-1].startswith("the log begins again at ")
+
+
+def test_a_sparse_heading_goes_on_where_a_log_begins_again(write):
+    turn = 0.02 / ONE_BEAM.robot.axle
+    yaw = [f"{turn * row:.6f}" if row % 4 == 2 else "" for row in range(120)]
+    rows = [f"{0.1 * row:.1f},-0.01,0.01,{yaw[row]},1.5\n" for row in range(120)]
+    log = read_log(write("t,left,right,yaw,r_0\n", *rows, *rows), table=ONE_BEAM)
+    known = np.unwrap(log.yaw[np.isfinite(log.yaw)])
+    assert len(known) == 60
+    assert_allclose(np.delete(np.diff(known), 29), 4.0 * turn, atol=1e-5)
+    assert np.diff(known)[29] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_a_clock_of_the_day_goes_on_after_midnight(write):
     rows = [f"23:59:{58.0 + 0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
     rows += [f"00:00:0{0.1 * row:.1f},0,0,1.5\n" for row in range(20)]

@@ -273,6 +273,14 @@ def test_an_axle_that_is_wrong_by_a_third_is_named_with_the_right_one(factor):
     assert float(value.split()[0]) == pytest.approx(ROBOT.axle, rel=0.03)
 
 
+def test_what_mends_a_log_is_said_rather_than_what_is_only_possible():
+    log = wheel_log(np.array([[0, 1], [1, 0]], dtype=float))
+    found = misread(replace(log, header=("left", "right", "t", "r_90")), 0.001)
+    ahead = replace(log, wheels=np.abs(log.wheels))
+    assert log_warnings(ahead)[-1].startswith("no wheel ever turns backwards")
+    assert log_warnings(ahead, found)[-1] == found.words
+
+
 def test_with_a_measured_heading_the_axle_does_not_matter():
     log = wheel_log(np.eye(2))
     left, right = log.wheels.T
@@ -379,7 +387,7 @@ def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, words):
             lambda wheels: wheels * (-1.0) ** np.arange(len(wheels))[:, None],
             "Then leave out --accumulated",
         ),
-        (np.abs, "no wheel ever counts backwards: if the robot has turned on the spot"),
+        (np.abs, "no wheel ever turns backwards: if the robot has turned on the spot"),
     ],
 )
 def test_counts_without_a_sum_or_without_a_direction_are_noticed(change, words):

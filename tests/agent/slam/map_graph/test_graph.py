@@ -10,7 +10,7 @@ from support.corridors import corridor_log
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig, WallLineConfig
 from limslam_agent.slam.graph.factors import geman_mcclure, prior, relation
-from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
+from limslam_agent.slam.graph.graph import DegenerateError, Factors, Graph, Nodes
 from limslam_agent.slam.map_graph import matching
 from limslam_agent.slam.map_graph.agreement import VisitCounts, judged_together, supported
 from limslam_agent.slam.map_graph.chunk_graph import (
@@ -286,9 +286,72 @@ def test_a_cleared_graph_takes_other_factors_of_the_same_nodes():
     other = Graph(graph.nodes)
     other.add(replace(second, jacobian=2.0 * second.jacobian))
     assert np.array_equal(graph.solve(), other.solve())
-    graph.add(first)
-    other.add(first)
-    assert np.array_equal(graph.solve(), other.solve())
+
+
+def random_factors(nodes, pairs, kinds):
+    """A prior of each line, and factors between nodes of two kinds."""
+    keys = tuple(zip(kinds, np.array(pairs).T, strict=True))
+    width = nodes.columns_of(keys).shape[1]
+    errors = RNG.normal(size=(len(pairs), 4))
+    return Factors(keys, errors, RNG.normal(size=(len(pairs), 4, width)))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("is_ordered", [False, True])
+def test_steps_and_covariances_equal_dense_ones(seed, is_ordered):
+    rng = np.random.default_rng(seed)
+    nodes = Nodes(poses=(12, 3), lines=(7, 2))
+    chain = [(each, each + 1) for each in range(11)]
+    loops = rng.choice(12, (4, 2), replace=True)
+    loops = [tuple(sorted(pair)) for pair in loops if pair[0] != pair[1]]
+    seen = [(pose, line) for line in range(7) for pose in rng.choice(12, 3, replace=False)]
+    added = [
+        random_factors(nodes, chain, ("poses", "poses")),
+        random_factors(nodes, loops, ("poses", "poses")),
+        random_factors(nodes, seen, ("poses", "lines")),
+    ]
+    # All but the first pose, in any order of the nodes
+    order = None
+    if is_ordered:
+        free = [nodes.columns("poses")[1:], nodes.columns("lines")]
+        of_nodes = [row for each in free for row in each]
+        order = np.concatenate([of_nodes[each] for each in rng.permutation(len(of_nodes))])
+    graph = Graph(nodes, order)
+    hessian = np.zeros((nodes.size, nodes.size))
+    for factors in added:
+        graph.add(factors)
+        for columns, jacobian in zip(nodes.columns_of(factors.keys), factors.jacobian, strict=True):
+            hessian[np.ix_(columns, columns)] += jacobian.T @ jacobian
+    inverse = np.zeros_like(hessian)
+    inverse[3:, 3:] = np.linalg.inv(hessian[3:, 3:])
+    assert np.allclose(graph.solve(), -inverse @ graph.gradient)
+    right = rng.normal(size=(nodes.size, 5))
+    white = graph.whitened(right)
+    assert np.allclose(white.T @ white, right.T @ inverse @ right)
+    for kind in ("poses", "lines"):
+        columns = nodes.columns(kind)
+        wanted = inverse[columns[:, :, None], columns[:, None, :]]
+        assert np.allclose(graph.marginals(kind), wanted)
+
+
+def test_unknowns_without_factors_are_refused_each_time():
+    nodes = Nodes(poses=(4, 3))
+    known = relation(np.zeros((4, 3)), np.array([[0, 1], [1, 2]]), np.zeros((2, 3)))
+    for order in (None, np.arange(3, 12)):
+        graph = Graph(nodes, order)
+        graph.add(known)
+        for _ in range(2):
+            with pytest.raises(DegenerateError, match="do not determine"):
+                graph.solve()
+
+
+def test_a_graph_that_was_solved_is_cleared_before_factors_are_added():
+    factors = relation(np.zeros((2, 3)), np.array([[0, 1]]), np.zeros((1, 3)))
+    graph = Graph(Nodes(poses=(2, 3)))
+    graph.add(factors)
+    graph.solve()
+    with pytest.raises(ValueError, match="after it is cleared"):
+        graph.add(factors)
 
 
 CONFIG = GraphConfig()

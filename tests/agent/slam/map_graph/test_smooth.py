@@ -20,7 +20,11 @@ from limslam_agent.replay.smoothing import log_data
 from limslam_agent.slam.map_graph.chunk_graph import KEPT
 from limslam_agent.slam.map_graph.key_poses import LogData, choose_keys, delayed, integrate
 from limslam_agent.slam.map_graph.online import OnlineGraph
-from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
+from limslam_agent.slam.map_graph.reversing import (
+    driven_backwards,
+    reversed_distance,
+    with_reversing,
+)
 from limslam_agent.slam.map_graph.stages import by_odometry, rounds
 from limslam_agent.slam.map_graph.window import RecentEvents
 from limslam_agent.status.status import Status
@@ -220,6 +224,15 @@ def test_a_stretch_is_found_while_driving():
     assert off.max() < 4.0
     assert np.hypot(*(log.odometry - signed.odometry)[-1, :2]) > 3.0
     assert off[-1] < 0.5
+
+
+def test_a_tiny_step_back_is_no_proof_that_a_stretch_was_driven_backwards():
+    log = recorded_drive(walls(), straight(6.0) + STOP + straight(4.0))
+    moves = se2.between(log.odometry[:-1], log.odometry[1:])
+    assert not list(driven_backwards(log, CONFIG, 0))
+    moves[-20, 0] = -1e-5
+    shaken = replace(log, odometry=integrate(log.odometry[0], moves))
+    assert not list(driven_backwards(shaken, CONFIG, 0))
 
 
 def test_odometry_that_reports_driving_backwards_is_believed():
