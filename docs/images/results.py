@@ -35,9 +35,9 @@ ESTIMATES = {
 }
 STATUSES = {"ok": ("#0072B2", "o"), "unsure": ("#E69F00", "D"), "lost": ("#D55E00", "X")}
 SPEEDS = {"two cores": ("#0072B2", "o"), "H100": ("#009E73", "s")}
-# Columns of a scoreboard that are shown: row, drives, errors of filter and smoothed path, NEES,
-# wrong and ok, status.
-SHOWN = (0, 1, 2, 4, 6, 8, 10)
+# Columns of a scoreboard that are shown: row, drives, errors of filter and smoothed path, the last
+# one also aligned, NEES, wrong and ok, status.
+SHOWN = (0, 1, 2, 4, 5, 6, 8, 10)
 
 Row = dict[str, str]
 
@@ -153,7 +153,7 @@ def draw_status(by_status: Axes, by_stated: Axes, cells: Sequence[Cell]) -> None
     )
     by_status.set_yticks(range(len(STATUSES)), STATUSES)
     by_status.set_ylim(len(STATUSES) - 0.6, -0.4)
-    low, high = 0.002, 5.0
+    low, high = 0.001, 40.0
     by_stated.plot([low, high], [low, high], color="0.4", linewidth=1.0, label="as stated")
     by_stated.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
     by_stated.set(xlabel="stated error, m", ylabel="error, m", title="Error and stated error")
