@@ -230,7 +230,6 @@ class Rows:
         """
         if is_number(field):
             return parse_number(field, Role.TIME)
-        self.has_calendar = True
         text = field.decode("ascii", "replace")
         text = _DAY_FIRST.sub(r"\3-\2-\1", text).replace("/", "-")
         date = "" if "-" in text.lstrip("-")[:8] else "1970-01-01T"
@@ -240,6 +239,7 @@ class Rows:
             raise ValueError(
                 f"t is not a number, and no time such as 2026-11-28 14:03:05.25: {described(text)}"
             ) from None
+        self.has_calendar = True
         return (moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()
 
 

@@ -184,6 +184,15 @@ def test_a_clock_that_begins_again_is_not_taken_for_a_full_one(write, unit, ende
     assert log.notes[-1].startswith("the log begins again at ")
 
 
+@pytest.mark.parametrize("field", ["", "4:"])
+def test_a_damaged_time_does_not_change_the_unit_of_the_others(write, field):
+    rows = [f"0.01,0.01,1.5,{100 * row}\n" for row in range(60)]
+    rows.insert(30, f"0.01,0.01,1.5,{field}\n")
+    told = replace(ONE_BEAM, time_unit="ms")
+    log = read_log(write("left,right,r_0,t\n", *rows), table=told)
+    assert_allclose(log.time, 0.1 * np.arange(60), atol=1e-9)
+
+
 def test_a_sparse_heading_goes_on_where_a_log_begins_again(write):
     turn = 0.02 / ONE_BEAM.robot.axle
     yaw = [f"{turn * row:.6f}" if row % 4 == 2 else "" for row in range(120)]
