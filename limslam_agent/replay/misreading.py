@@ -27,6 +27,7 @@ import numpy as np
 
 from limslam_agent.logs.columns import Dimension, Role, column_of
 from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.table_layout import WHEELS
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # m of driving on either side of an event that are compared, and the least between two events, so
@@ -48,7 +49,6 @@ _LEAST_SIGMAS = 2.2
 _CERTAIN_LEAD = 0.15
 _CERTAIN_SIGMAS = 5.0
 
-_OF_WHEELS = {Role.LEFT, Role.RIGHT}
 _BEAM = re.compile(r"^(-?r_)(-?)(?=[\d.]*[1-9])")
 _SAME_ANGLE = 0.02  # rad
 _OF_TICKS = {None, Dimension.TICKS}
@@ -231,7 +231,7 @@ def _remedy_of_beams(log: RecordedLog) -> str:
     angles = log.robot.beam_angles
     apart = np.abs(se2.wrap_angle(angles[:, None] + angles))
     is_even = bool((apart <= _SAME_ANGLE).any(axis=1).all())
-    if not is_even or not any(column_of(name).role in _OF_WHEELS for name in names):
+    if not is_even or not any(column_of(name).role in WHEELS for name in names):
         return ""
     columns = ",".join(names)
     return f", and --columns {columns} if it is the beams; the other map is a mirror image"

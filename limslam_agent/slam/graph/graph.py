@@ -134,8 +134,8 @@ class Graph:
 
     def clear(self) -> None:
         """Remove all factors. Factors of the same nodes have to be added again, in the same order:
-        the sparsity of the matrix is found once for all of them. After a solution, no others can be
-        added before.
+        the sparsity of the matrix is found once for all of them. A graph that was solved takes no
+        further factors until it is cleared.
         """
         self.gradient = np.zeros(self.nodes.size)
         self._hessians = list[FloatArray]()

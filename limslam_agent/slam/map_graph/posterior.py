@@ -63,19 +63,20 @@ def with_learned_noise(
 
 
 def with_learned_errors(
-    keys: KeyPoses, trajectory: Trajectory, graph: Graph, chance: float
+    keys: KeyPoses, trajectory: Trajectory, graph: Graph | None = None
 ) -> KeyPoses:
     """The key poses with narrower priors of the constant errors of odometry.
 
-    The prior variance of an error is the square of its estimate and ``chance`` times the variance
-    of the estimate.
+    The prior variance of an error is the square of its estimate and, with a graph, the variance of
+    the estimate in it. Without, an estimate that is not evident shrinks towards zero.
     """
-    columns = graph.nodes.columns("errors")[0]
-    rows = np.zeros((graph.nodes.size, len(columns)))
-    rows[columns, np.arange(len(columns))] = 1.0
-    variances = (graph.whitened(rows) ** 2).sum(axis=0)
+    learned = trajectory.bias**2
+    if graph is not None:
+        columns = graph.nodes.columns("errors")[0]
+        rows = np.zeros((graph.nodes.size, len(columns)))
+        rows[columns, np.arange(len(columns))] = 1.0
+        learned = learned + (graph.whitened(rows) ** 2).sum(axis=0)
     config = keys.config
-    learned = trajectory.bias**2 + chance * variances
     stds = np.sqrt(np.clip(learned, _LEAST_STD**2, np.square(config.motion.stds)))
     motion = OdometryErrorConfig(*stds.tolist())
     return replace(keys, config=replace(config, motion=motion))

@@ -59,10 +59,6 @@ _SYNCHRONOUS = 0.02
 # How often the noise of odometry is learned, as long as its variance falls below this share
 _LEARNED = 3
 _BETTER = 0.5
-# How many variances of their estimates count in the priors of the constant errors: with none, an
-# estimate that is not evident shrinks towards zero
-_SHRUNK = 0.0
-_STATED = 1.0
 _CAUTION = 2.0  # of the variances of odometry alone, where they limit those of hops
 # Where visits contradict each other, hops as near as this, in lengths of chunks, have these further
 # standard deviations, m and rad
@@ -92,7 +88,7 @@ class GraphResult:
         if self.local is None or len(self.keys) < 2 or len(self.keys.point_event) == 0:
             return self.keys
         keys = with_learned_noise(self.keys, self.local, cautious_graph)
-        return with_learned_errors(keys, self.local, cautious_graph(keys, self.local), _STATED)
+        return with_learned_errors(keys, self.local, cautious_graph(keys, self.local))
 
     @property
     def poses(self) -> FloatArray:
@@ -183,7 +179,7 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[KeyPoses, Traject
         if exact.step_variances[:, 2].sum() > _BETTER * keys.step_variances[:, 2].sum():
             break
         keys = exact
-        narrow = with_learned_errors(keys, local, cautious_graph(keys, local), _SHRUNK)
+        narrow = with_learned_errors(keys, local)
         local = smooth_locally(narrow, odometry_trajectory(keys, np.zeros(3)))
     return keys, local, known
 
@@ -247,7 +243,7 @@ def hop_covariances(keys: KeyPoses, local: Trajectory) -> FloatArray:
     those by odometry alone, with its constant errors as far as the log tells them.
     """
     middles = chunk_middles(keys, keys.config.maps.hop)
-    keys = with_learned_errors(keys, local, cautious_graph(keys, local), _STATED)
+    keys = with_learned_errors(keys, local, cautious_graph(keys, local))
     by_links, by_odometry = (
         motion_covariances(graph(keys, local), local.poses, middles)
         for graph in (cautious_graph, odometry_graph)

@@ -188,8 +188,8 @@ def test_a_clock_that_begins_again_is_not_taken_for_a_full_one(write, unit, ende
 def test_a_damaged_time_does_not_change_the_unit_of_the_others(write, field):
     rows = [f"0.01,0.01,1.5,{100 * row}\n" for row in range(60)]
     rows.insert(30, f"0.01,0.01,1.5,{field}\n")
-    told = replace(ONE_BEAM, time_unit="ms")
-    log = read_log(write("left,right,r_0,t\n", *rows), table=told)
+    options = replace(ONE_BEAM, time_unit="ms")
+    log = read_log(write("left,right,r_0,t\n", *rows), table=options)
     assert_allclose(log.time, 0.1 * np.arange(60), atol=1e-9)
 
 

@@ -288,12 +288,12 @@ def test_a_cleared_graph_takes_other_factors_of_the_same_nodes():
     assert np.array_equal(graph.solve(), other.solve())
 
 
-def random_factors(nodes, pairs, kinds):
-    """A prior of each line, and factors between nodes of two kinds."""
+def random_factors(nodes, pairs, kinds, rng):
+    """Factors with four random errors each, between pairs of nodes of two kinds."""
     keys = tuple(zip(kinds, np.array(pairs).T, strict=True))
     width = nodes.columns_of(keys).shape[1]
-    errors = RNG.normal(size=(len(pairs), 4))
-    return Factors(keys, errors, RNG.normal(size=(len(pairs), 4, width)))
+    errors = rng.normal(size=(len(pairs), 4))
+    return Factors(keys, errors, rng.normal(size=(len(pairs), 4, width)))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -306,9 +306,9 @@ def test_steps_and_covariances_equal_dense_ones(seed, is_ordered):
     loops = [tuple(sorted(pair)) for pair in loops if pair[0] != pair[1]]
     seen = [(pose, line) for line in range(7) for pose in rng.choice(12, 3, replace=False)]
     added = [
-        random_factors(nodes, chain, ("poses", "poses")),
-        random_factors(nodes, loops, ("poses", "poses")),
-        random_factors(nodes, seen, ("poses", "lines")),
+        random_factors(nodes, chain, ("poses", "poses"), rng),
+        random_factors(nodes, loops, ("poses", "poses"), rng),
+        random_factors(nodes, seen, ("poses", "lines"), rng),
     ]
     # All but the first pose, in any order of the nodes
     order = None
