@@ -140,10 +140,10 @@ function loadPicture(address, name) {
 
 function askScale(a, b) {
   const dialog = byId('scale-dialog');
-  dialog.returnValue = '';
-  dialog.onclose = () => {
+  // The event of the form, not that of the dialog: a browser sends 'close' some time after the click.
+  dialog.querySelector('form').onsubmit = ({submitter}) => {
     const metres = Number(byId('metres').value);
-    if (dialog.returnValue !== 'scale' || !(metres > 0)) return;
+    if (submitter.value !== 'scale' || !(metres > 0)) return;
     const factor = metres / Math.hypot(b[0] - a[0], b[1] - a[1]), {x, y, scale} = picture.place, to = onGrid(a);
     change(() => { picture.place = {x: to[0] + (x - a[0]) * factor, y: to[1] + (y - a[1]) * factor, scale: scale * factor}; });
     fit();
