@@ -47,7 +47,7 @@ _LAST_RADIUS = 0.2
 _AXES_STD = math.radians(0.5)
 _FIRST_AXES = 8.0
 _AXES_KERNEL = 2.0
-_MOST_LOST = math.radians(15.0)
+_MOST_LOST = math.radians(7.0)
 _FIRST_WINDOW = 4.0  # m, in which walls are found in the first iteration with walls
 
 
@@ -151,7 +151,7 @@ def _graph(
     cloud = point_cloud(keys, trajectory)
     lines = find_lines(cloud, walls) if walls else None
     count = len(lines.angles) if lines else 0
-    lost = float(keys.step_variances[:, 2].sum())
+    lost = float(keys.step_variances[:, 2].sum() + (trajectory.bias[0] * keys.driven) ** 2)
     has_axes = count > 0 and axes_factor > 0.0 and lost < _MOST_LOST**2
     graph = Graph(
         Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2), axes=(int(has_axes), 1))
