@@ -174,6 +174,7 @@ def _display(
     decision.
     """
     from limslam_agent.inspect.live_page import Controls, Follower, live_page
+    from limslam_env.messages import counted
 
     with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
         follower = None
@@ -189,7 +190,7 @@ def _display(
             save_if_due()
             newest = session.recording.newest
             seconds = 0.0 if newest is None else newest.time
-            walls = f"{len(agent.slam.segments)} walls"
+            walls = counted(len(agent.slam.segments), "wall")
             lost = f"{session.recording.lost} lines lost"
             advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.state}  {lost}")
             while len(events) < len(agent.mapper.places.events):

@@ -30,7 +30,8 @@ _SENSOR = {
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
     "wall_curvature_per_m": ("walls curve by {:.0f} deg a metre", math.degrees(1.0)),
 }
-_WALLS = "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned"
+_COUNT = "{landmarks} walls"
+_WALLS = f"{_COUNT}, F1 {{wall_f1_aligned:.2f}} at 10 cm when aligned"
 _ODOMETRY = {
     "left": ("left wheel {:+.2f} +- {:.2f} %", 100.0),
     "right": ("right wheel {:+.2f} +- {:.2f} %", 100.0),
@@ -263,7 +264,7 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     if texts.get("odometry_") == texts.get("raw_odometry_"):
         texts.pop("odometry_", None)
     lines += [f"relations   {trajectories[prefix]:21}{text}" for prefix, text in texts.items()]
-    return lines + (_line("map", _WALLS, metrics) or _line("map", "{landmarks} walls", metrics))
+    return lines + (_line("map", _WALLS, metrics) or _line("map", _COUNT, metrics))
 
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:
@@ -350,6 +351,8 @@ def _listed(title: str, words: Sequence[str]) -> list[str]:
 
 def _with(text: str, numbers: Mapping[str, Any]) -> str:
     """A text with numbers by their names; empty if one of them is missing."""
+    if _has(numbers, "landmarks"):
+        text = text.replace(_COUNT, counted(numbers["landmarks"], "wall"))
     names = [name for _, name, _, _ in Formatter().parse(text) if name]
     return text.format_map(numbers) if _has(numbers, *names) else ""
 

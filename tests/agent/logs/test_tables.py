@@ -212,6 +212,24 @@ def test_a_clock_of_the_day_goes_on_after_midnight(write):
     assert log.notes == ()
 
 
+@pytest.mark.parametrize("place", [20, 40])
+def test_a_card_that_lost_its_power_leaves_zeros_that_are_skipped(write, place):
+    rows = [f"{0.1 * row:.1f},0.01,0.01,1.{row}\n" for row in range(40)]
+    rows.insert(place, "\0" * 100 + "\n")
+    log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
+    assert len(log) == 40
+    assert log.notes == ()
+
+
+@pytest.mark.parametrize("names", ["left,right", "x,y,theta"])
+def test_rows_of_two_robots_in_turn_are_refused(write, names):
+    row = "{0},{1},{1},0,1.0\n" if names[0] == "x" else "{0},{1},{1},1.0\n"
+    rows = (row.format(0.05 * line, 5 * (line % 2) + 0.01 * line) for line in range(40))
+    options = replace(ONE_BEAM, accumulated=True)
+    message = refusal(write(f"t,{names},r_0\n", *rows), table=options)
+    assert "as if the rows were those of 2 robots: write a log for each robot" in message
+
+
 @pytest.mark.parametrize("day", ["28.11.2026", "2026-11-28"])
 def test_a_day_may_stand_before_the_time_of_the_day(write, day):
     rows = [f"{day} 12:03:0{0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
@@ -411,7 +429,7 @@ def test_zones_report_the_distance_along_the_axis_of_their_sensor(write):
     ("wrong", "words"),
     [
         ({"metres_per_tick": 0.0}, "--metres-per-tick must be a number above 0, not 0"),
-        ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, not 'inch'"),
+        ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, in, not 'inch'"),
         ({"zone_axes": (90.0, math.inf)}, "--zone-axes must be directions in degrees"),
     ],
 )
