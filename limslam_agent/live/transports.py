@@ -144,6 +144,15 @@ def _hellos(lines: list[bytes]) -> Iterator[Hello]:
                 yield message
 
 
+def is_unreadable(line: bytes) -> bool:
+    """Whether a line is no message."""
+    try:
+        decode(line)
+    except BadLineError:
+        return True
+    return False
+
+
 class UdpTransport:
     """A UDP socket on which the host listens. The robot finds the host, and says hello.
 
@@ -193,7 +202,9 @@ class UdpTransport:
         self.port: int = self._socket.getsockname()[1]
 
     def receive(self, timeout: float) -> list[bytes]:
-        """The lines of all datagrams that the robot has sent."""
+        """The lines of all datagrams that the robot has sent; without a robot, those of anybody
+        that are no messages.
+        """
         begin = time.monotonic()
         arrived = datagrams(self._socket, timeout)
         self._seat.listened(time.monotonic() - begin)
@@ -202,6 +213,8 @@ class UdpTransport:
             lines = LineBuffer().add(data)
             if self._seat.admits(lines, sender):
                 found += lines
+            elif self._seat.robot is None:  # so that it can be said what is wrong with them
+                found += filter(is_unreadable, lines[:_LINES_OF_DATAGRAM])
         return found
 
     def send(self, line: bytes) -> None:

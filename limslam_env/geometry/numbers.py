@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from limslam_env.geometry.arrays import FloatArray
+from limslam_env.messages import described
 
 LARGEST_COORDINATE = 1e7
 """Largest coordinate of a pose, m, and largest heading, rad. The coordinates of map grids fit in,
@@ -64,7 +65,7 @@ def check_number(what: str, value: Any, low: float, high: float, unit: str = "")
     if not (is_number(value) and low <= value <= high):
         limits = f"{low:g} to {high:g} {unit}".rstrip()
         asked = f": is it in {unit}?" if unit and is_number(value) else ""
-        raise ValueError(f"{what} must be a number from {limits}, not {value}{asked}")
+        raise ValueError(f"{what} must be a number from {limits}, not {described(value)}{asked}")
 
 
 def check_count(what: str, value: Any, high: int, *, least: int = 1) -> None:
@@ -76,7 +77,9 @@ def check_count(what: str, value: Any, high: int, *, least: int = 1) -> None:
     except TypeError:
         is_allowed = False
     if not is_allowed:
-        raise ValueError(f"{what} must be a whole number from {least} to {high}, not {value}")
+        raise ValueError(
+            f"{what} must be a whole number from {least} to {high}, not {described(value)}"
+        )
 
 
 def check_poses(what: str, poses: FloatArray) -> None:

@@ -373,6 +373,8 @@ def test_actions_must_be_those_of_the_robots_that_are_there(change):
     }
     with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
         env.step(actions)
+    with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
+        env.step(list(actions))
     # A refusal moves nothing.
     assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
 
