@@ -19,7 +19,7 @@ travel or poses (`table_motion`), and those with the ranges a log (here).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Role, column_of
-from limslam_agent.logs.labelled_lines import unlabelled
+from limslam_agent.logs.labelled_lines import unlabelled, unpacked
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -44,6 +44,7 @@ from limslam_agent.logs.table_motion import Odometry
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.logs.table_text import (
     MOST_DAMAGED,
+    Line,
     Rows,
     has_rows_of_numbers,
     split_header,
@@ -80,11 +81,16 @@ _WORDS = {
 }
 
 
+def _table_lines(path: FilePath) -> Iterator[Line]:
+    """The numbered lines of a text file, plain or gzip, as those of a table."""
+    return unpacked(unlabelled(numbered_lines(path)))
+
+
 def is_csv(path: FilePath) -> bool:
     """Whether a text file, plain or gzip, is a table: it has such a header, or rows of numbers.
     Raises a LogError if the file cannot be read or is not a text file.
     """
-    return has_rows_of_numbers(unlabelled(numbered_lines(path)))
+    return has_rows_of_numbers(_table_lines(path))
 
 
 def read_csv(
@@ -106,7 +112,7 @@ def read_csv(
     robot = options.robot
     with naming(path):
         beams = [] if robot is None else np.degrees(robot.beam_angles).tolist()
-        header, lines = split_header(unlabelled(numbered_lines(path)), options.columns, beams)
+        header, lines = split_header(_table_lines(path), options.columns, beams)
         header, lines = with_units_of_cells(header, lines)
         if options.rate is not None:
             header = replace(header, columns=(column_of("t"), *header.columns))

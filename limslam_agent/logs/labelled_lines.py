@@ -1,12 +1,14 @@
-"""Lines whose values have their names beside them, as rows of a table.
+"""Lines whose values have their names beside them, or stand in lists, as rows of a table.
 
 A serial plotter takes ``left:12 right:13``, and programs write objects of JSON, one a line or all
-in one list. The names become a header, and each line becomes a row of values.
+in one list. The names become a header, and each line becomes a row of values. Programs also write a
+whole scan into one field, as ``"[1.2, 0.8, 0.7]"``, which becomes as many columns.
 """
 
 import json
 import re
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any
 
 from limslam_agent.logs.columns import SCALE_OF
@@ -16,6 +18,8 @@ _NAME = r"[^\W\d][^\s:=,;|{}\[\]]*"
 _UNIT = rf"(?:\s+(?:{'|'.join(map(re.escape, SCALE_OF))})(?=[\s,;|]|$))?"
 _VALUE = rf"[^\s:=,;|]*(?::\d[\d:.]*)?{_UNIT}"
 _PAIR = re.compile(rf"\s*({_NAME})\s*[:=]\s*({_VALUE})\s*(?:[,;|]|\s|$)")
+_LIST = re.compile(rb"[\[(]\s*([-+\d.][^\[\](){}:]*?[,;\s][^\[\](){}:]*?)[,;\s]*[\])]")
+_MARKS = (b";", b"\t", b",")
 _JSON = re.compile(r"\s*\[?\s*\{")
 
 Line = tuple[int, bytes]
@@ -44,6 +48,38 @@ def unlabelled(lines: Iterable[Line]) -> Iterator[Line]:
     if first and not names:
         yield number, _row(first)
         yield number, _row(first.values())
+
+
+def unpacked(lines: Iterable[Line]) -> Iterator[Line]:
+    """The lines of a table, of which a list of numbers in brackets becomes as many fields. The line
+    before the first one with a list is the header.
+    """
+    mark = b""
+    before: Line = 0, b""
+    for number, line in lines:
+        text = line
+        found = None if line.startswith(b"#") else _LIST.search(line)
+        if found and not mark:
+            mark = next((each for each in _MARKS if each in before[1]), b",")
+            names = before[1].strip().split(mark)
+            place = _LIST.sub(b"", line[: found.start()]).count(mark)
+            count = _fields(mark, found).count(mark) + 1
+            if place < len(names):
+                name = names[place].strip(b'" ')
+                names[place : place + 1] = [name + b".%d" % index for index in range(count)]
+                before = before[0], mark.join(names) + b"\n"
+        if found:
+            text = _LIST.sub(partial(_fields, mark), line)
+        if before[0]:
+            yield before
+        before = number, text
+    if before[0]:
+        yield before
+
+
+def _fields(mark: bytes, found: re.Match[bytes]) -> bytes:
+    """The numbers of a list, separated by a mark."""
+    return mark.join(re.split(rb"[,;\s]+", found[1].strip()))
 
 
 def _row(fields: Iterable[str]) -> bytes:

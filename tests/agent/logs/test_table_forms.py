@@ -296,6 +296,21 @@ def test_names_may_stand_beside_the_values(write, form):
     assert_allclose(log.ranges, RANGES, atol=1e-6)
 
 
+@pytest.mark.parametrize("form", [',"[{}]"', ',"({})"', ";[{}]"])
+def test_a_scan_may_stand_in_one_field(write, form):
+    numbers = np.column_stack([TIME, POSES]).tolist()
+    mark = form[0]
+    rows = [
+        mark.join(f"{value:.9g}" for value in row)
+        + form.format(" ".join(f"{value:.6f}," for value in scan).strip(","))
+        for row, scan in zip(numbers, RANGES.tolist(), strict=True)
+    ]
+    names = mark.join(("t", "x", "y", "theta", "ranges"))
+    log = read_log(write("\n".join([names, *rows])), table=TableOptions(ROBOT))
+    assert_allclose(log.ranges, RANGES, atol=1e-6)
+    assert len(log.notes) == 1  # the beams are those of the robot
+
+
 def test_a_first_line_that_is_cut_does_not_name_the_columns(write):
     text = labelled((":", " "))
     log = read_log(write(text[text.index("ft:") :]), table=TableOptions(ROBOT))
