@@ -18,7 +18,8 @@ _NAME = r"[^\W\d][^\s:=,;|{}\[\]]*"
 _UNIT = rf"(?:\s+(?:{'|'.join(map(re.escape, SCALE_OF))})(?=[\s,;|]|$))?"
 _VALUE = rf"[^\s:=,;|]*(?::\d[\d:.]*)?{_UNIT}"
 _PAIR = re.compile(rf"\s*({_NAME})\s*[:=]\s*({_VALUE})\s*(?:[,;|]|\s|$)")
-_LIST = re.compile(rb"[\[(]\s*([-+\d.][^\[\](){}:]*?[,;\s][^\[\](){}:]*?)[,;\s]*[\])]")
+_ITEM = rb"[-+]?(?:[\d.][\d.eE+-]*|inf|nan|none|null)"
+_LIST = re.compile(rb"[\[(]\s*(%b(?:[,;\s]+%b)+)[,;\s]*[\])]" % (_ITEM, _ITEM), re.IGNORECASE)
 _MARKS = (b";", b"\t", b",")
 _JSON = re.compile(r"\s*\[?\s*\{")
 
@@ -58,7 +59,8 @@ def unpacked(lines: Iterable[Line]) -> Iterator[Line]:
     before: Line = 0, b""
     for number, line in lines:
         text = line
-        found = None if line.startswith(b"#") else _LIST.search(line)
+        has_bracket = line[:1] != b"#" and (b"[" in line or b"(" in line)
+        found = _LIST.search(line) if has_bracket else None
         if found and not mark:
             mark = next((each for each in _MARKS if each in before[1]), b",")
             names = before[1].strip().split(mark)
