@@ -146,7 +146,7 @@ class Odometry:
 
     def _question(self) -> str:
         """What to ask about wheels that travel too far."""
-        if self._layout.is_speed:
+        if self._layout.is_speed and not self._layout.counts_ticks:
             return "Are the speeds in m/s and rad/s? --columns names others, as in left_mm_s"
         if Role.LEFT not in self._layout.motion:
             return (
@@ -210,11 +210,12 @@ class Odometry:
         columns = [self._layout.column(role) for role in WHEELS]
         if self._layout.is_speed:
             speeds = np.column_stack([self._si(role) for role in WHEELS])
-            turning = [each for each in columns if each.dimension is Dimension.TURN_RATE]
-            if turning:
+            if self._layout.counts_ticks:
+                speeds *= options.metres_per_tick
+            elif columns[0].dimension is Dimension.TURN_RATE:
                 if options.wheel_radius is None:
                     raise ValueError(
-                        f"the column {turning[0].name[:40]!r} is the speed of a wheel in "
+                        f"the column {columns[0].name[:40]!r} is the speed of a wheel in "
                         f"{self.units[Role.LEFT]}: --wheel-radius says the radius of the wheels, "
                         "m; or --columns names a speed in m/s, as in left_m_s"
                     )
@@ -325,7 +326,8 @@ class Odometry:
         return np.nancumsum(column[rows] * self._spacing)
 
     def _note_unused_options(self) -> None:
-        unused = ["--metres-per-tick"] * (self._options.metres_per_tick != 1.0)
+        has_size = self._options.metres_per_tick != 1.0
+        unused = ["--metres-per-tick"] * (has_size and not self._layout.counts_ticks)
         unused += ["--accumulated"] * self._options.accumulated
         if self._layout.is_speed and unused:
             are = "are" if len(unused) > 1 else "is"

@@ -11,8 +11,9 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
-from itertools import chain
+from itertools import chain, islice, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +44,15 @@ _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
 _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
 _LONGEST_QUOTE = 60
+_WITH_UNIT = re.compile(rf"[-+]?[\d.,]+\s*({_UNIT})".encode())
+_SHOW_UNITS = 20  # rows
 _DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
 _BLANK = b' \t\r\n,;"'
 # What a serial monitor writes before each line.
 _MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
 
 # A semicolon goes first: a comma beside it is a decimal mark.
-_SEPARATORS = (b";", b",", b"\t")
+_SEPARATORS = (b";", b"|", b",", b"\t")
 
 Line = tuple[int, bytes]
 """A line with its number, counted from 1."""
@@ -99,6 +102,25 @@ def split_header(
     return _header(seen[: last + 1]), chain(seen[last + 1 :], lines)
 
 
+def with_units_of_cells(header: Header, lines: Iterator[Line]) -> tuple[Header, Iterator[Line]]:
+    """The header with the units that stand beside the numbers of the first rows, and the lines."""
+    first = list(islice(lines, _SHOW_UNITS))
+    columns = list(header.columns)
+    endings = [b""] * len(columns)
+    for _, line in first:
+        for place, field in enumerate(_text_of(line).split(header.separator)[: len(columns)]):
+            found = _WITH_UNIT.fullmatch(field.strip())
+            if found is None or endings[place]:
+                continue
+            endings[place] = found[1]
+            column = columns[place]
+            if column.unit is None:
+                columns[place] = column_of(f"{column.name} [{found[1].decode()}]")
+    if any(endings):
+        header = replace(header, columns=tuple(columns), endings=tuple(endings))
+    return header, chain(first, lines)
+
+
 def has_rows_of_numbers(lines: Iterable[Line]) -> bool:
     """Whether a text is a table: one of its first lines is a complete header, or a row of numbers.
     Lines of other logs begin with a word.
@@ -114,11 +136,15 @@ def has_rows_of_numbers(lines: Iterable[Line]) -> bool:
 class Rows:
     """The numbers of the rows read so far, in packed arrays: those of the columns in ``layout``, of
     which the odometry needs a number in each row, and those of the chosen ranges at some places.
+    With a ``rate`` of rows in a second, the first column is not in the text.
     """
 
-    def __init__(self, header: Header, layout: Layout, ranges: Sequence[int]) -> None:
+    def __init__(
+        self, header: Header, layout: Layout, ranges: Sequence[int], rate: float | None = None
+    ) -> None:
         self.header = header
         self.layout = layout
+        self.rate = rate
         self.needed = list(layout.motion.values())
         self.optional = [*layout.inertial.values(), *ranges]
         self.values = array("d")
@@ -195,6 +221,8 @@ class Rows:
         is_short = len(fields) < len(columns)
         time, *others = self.needed
         values = [self._seconds(fields[time])]
+        if (part := self.layout.fraction) is not None:
+            values[0] += parse_number(fields[part], Role.TIME) * SCALE_OF[columns[part].unit or "s"]
         values += [parse_number(fields[place], str(columns[place].role)) for place in others]
         if is_short:
             values += [math.nan] * len(self.optional)
@@ -212,6 +240,11 @@ class Rows:
         fields = [field.strip() for field in text.split(separator)]
         if separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
+        if self.header.endings:
+            pairs = zip_longest(fields, self.header.endings[: len(fields)], fillvalue=b"")
+            fields = [field.removesuffix(ending).rstrip() for field, ending in pairs]
+        if self.rate is not None:
+            fields.insert(0, b"%f" % ((len(self.lines) + self.damaged) / self.rate))
         count = len(self.header.columns)
         _trim(fields, count)
         is_marked = max(self.needed) < len(fields) - 1 <= min(self.layout.ranges)

@@ -3,6 +3,7 @@ before the table, and damaged lines. Each is compared with the same drive as met
 """
 
 import gzip
+import json
 import math
 from dataclasses import replace
 
@@ -221,6 +222,102 @@ def test_headings_in_degrees_are_noticed(write):
     assert read_log(path, table=TableOptions(angle_unit="deg")).notes == ()
 
 
+@pytest.mark.parametrize("per_second", ["left_ticks_per_s", "left [counts/s]"])
+def test_ticks_a_second_are_speeds_of_wheels(write, per_second):
+    ticks = SPEEDS / 0.001
+    columns = {per_second: ticks[:, 0], per_second.replace("left", "right"): ticks[:, 1]}
+    log = read_log(write(table(columns)), table=TableOptions(ROBOT, 0.001))
+    assert_allclose(log.wheels[1:], WHEELS[1:], atol=2e-7)
+    assert log.notes == ()
+
+
+def test_a_unit_may_stand_behind_each_number(write):
+    header, *rows = table(TRAVEL, metres=0.0254).splitlines()
+    cells = [row.split(",") for row in rows]
+    lines = [f"{t} s,{left},{right},{' in,'.join(rest)}in" for t, left, right, *rest in cells]
+    log = read_log(write("\n".join([header, *lines])), table=TableOptions(ROBOT))
+    assert_allclose(log.ranges, RANGES, atol=1e-6)
+    assert_allclose(log.time, TIME)
+    assert log.notes == ()
+
+
+def test_a_rate_takes_the_place_of_times(write):
+    lines = [line.partition(",")[2] for line in table(TRAVEL).splitlines()]
+    path = write("\n".join(lines))
+    assert refusal(path, table=TableOptions(ROBOT)).endswith(
+        "--rate says how many rows there are in a second"
+    )
+    log = read_log(path, table=TableOptions(ROBOT, rate=10.0))
+    assert_allclose(log.time, TIME)
+    assert_allclose(log.wheels[1:], WHEELS[1:])
+    assert log.header[0] == "left"
+
+
+def test_seconds_and_nanoseconds_are_one_time(write):
+    columns = {"header.stamp.secs": np.floor(TIME), "header.stamp.nsecs": 1e9 * (TIME % 1.0)}
+    text = table({"t": TIME, **TRAVEL})
+    rows = [line.partition(",")[2] for line in text.splitlines()[1:]]
+    stamps = np.column_stack(list(columns.values())).tolist()
+    lines = [f"{s:.0f},{ns:.0f},{row}" for (s, ns), row in zip(stamps, rows, strict=True)]
+    names = ",".join([*columns, text.splitlines()[0].partition(",")[2]])
+    log = read_log(write("\n".join([names, *lines])), table=TableOptions(ROBOT))
+    assert_allclose(log.time, TIME, atol=1e-8)
+    assert log.notes == ()
+
+
+# Names beside the values
+
+
+def labelled(form):
+    """The table of the drive with names beside the values."""
+    names, *rows = [line.split(",") for line in table(TRAVEL).splitlines()]
+    records = [dict(zip(names, row, strict=True)) for row in rows]
+    if form == "json":
+        nested = [
+            {"pose": {}, "ranges": [float(record.pop(name)) for name in NAMED], **record}
+            for record in records
+        ]
+        return "[" + ",".join(map(json.dumps, nested)) + "]"
+    if form == "json lines":
+        return "\n".join(map(json.dumps, records))
+    return "\n".join(
+        form[1].join(f"{name}{form[0]}{value}" for name, value in record.items())
+        for record in records
+    )
+
+
+@pytest.mark.parametrize(
+    "form", [(":", " "), (":", ","), ("=", "\t"), (": ", ", "), "json lines", "json"]
+)
+def test_names_may_stand_beside_the_values(write, form):
+    log = read_log(write(labelled(form), name="drive.txt"), table=TableOptions(ROBOT))
+    assert_allclose(log.wheels[1:], WHEELS[1:])
+    assert_allclose(log.time, TIME)
+    assert_allclose(log.ranges, RANGES, atol=1e-6)
+
+
+@pytest.mark.parametrize("form", [',"[{}]"', ',"({})"', ";[{}]"])
+def test_a_scan_may_stand_in_one_field(write, form):
+    numbers = np.column_stack([TIME, POSES]).tolist()
+    mark = form[0]
+    rows = [
+        mark.join(f"{value:.9g}" for value in row)
+        + form.format(" ".join(f"{value:.6f}," for value in scan).strip(","))
+        for row, scan in zip(numbers, RANGES.tolist(), strict=True)
+    ]
+    names = mark.join(("t", "x", "y", "theta", "ranges"))
+    log = read_log(write("\n".join([names, *rows])), table=TableOptions(ROBOT))
+    assert_allclose(log.ranges, RANGES, atol=1e-6)
+    assert len(log.notes) == 1  # the beams are those of the robot
+
+
+def test_a_first_line_that_is_cut_does_not_name_the_columns(write):
+    text = labelled((":", " "))
+    log = read_log(write(text[text.index("ft:") :]), table=TableOptions(ROBOT))
+    assert_allclose(log.time, TIME[1:])
+    assert log.notes[0].startswith("1 damaged line was left out")
+
+
 # A heading beside wheels
 
 
@@ -323,6 +420,8 @@ def test_sides_alone_are_ranges_beside_other_wheels(write):
         ("t,x,y,r_90", "no column with the heading"),
         ("t,v,r_90", "no column with the turn (omega, angle, yaw)"),
         ("t,left,right,A0", "no column with a range"),
+        ("t,left,right,ir_90_V", "ir_90_V is a voltage by its name"),
+        ("t,left,right,sensor,range_mm", "has one column of ranges, range_mm, and says no"),
         ("t,left_ticks,right_speed,r_90", "no column with both wheels in one unit"),
     ],
 )
