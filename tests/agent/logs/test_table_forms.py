@@ -149,6 +149,23 @@ def test_wheels_go_before_poses_where_the_robot_is_described(write):
     assert poses.notes == ("2 columns are not used: left, right",)
 
 
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"left_speed": SPEEDS[:, 0], "right_speed": SPEEDS[:, 1]},
+        {"distance": FORWARD, "angle": TURN},
+    ],
+)
+def test_a_row_that_comes_late_stands_in_its_order(write, columns):
+    head, *rows = table(columns).splitlines()
+    for late in (10, 30, 32):
+        rows[late - 1], rows[late] = rows[late], rows[late - 1]
+    log = read_log(write("\n".join([head, *rows])), table=TableOptions(ROBOT))
+    assert_allclose(log.wheels[1:], WHEELS[1:], atol=2e-7)
+    assert_allclose(log.time, TIME, atol=1e-9)
+    assert_allclose(log.ranges, RANGES, atol=1e-6)
+
+
 def test_options_of_ticks_are_not_used_for_speeds(write):
     path = write(table({"left_speed": SPEEDS[:, 0], "right_speed": SPEEDS[:, 1]}))
     log = read_log(path, table=TableOptions(ROBOT, 0.0005, accumulated=True))
@@ -305,9 +322,10 @@ def test_a_scan_may_stand_in_one_field(write, form):
         + form.format(" ".join(f"{value:.6f}," for value in scan).strip(","))
         for row, scan in zip(numbers, RANGES.tolist(), strict=True)
     ]
+    rows[0] = rows[0].replace(f"{RANGES[0, 0]:.6f}", "inf")
     names = mark.join(("t", "x", "y", "theta", "ranges"))
     log = read_log(write("\n".join([names, *rows])), table=TableOptions(ROBOT))
-    assert_allclose(log.ranges, RANGES, atol=1e-6)
+    assert_allclose(log.ranges[1:], RANGES[1:], atol=1e-6)
     assert len(log.notes) == 1  # the beams are those of the robot
 
 
