@@ -461,11 +461,11 @@ def test_the_nominal_noise_is_the_upper_end_of_what_a_reset_may_draw():
         (lambda: MAKERS["single"](world="env1").reset(options={"start": (1, 2, 1e300)}), "finite"),
         (
             lambda: gym.make_vec("LimSlam-Env1-v0", num_envs=10**9),
-            "num_envs must be a whole number, 4194304 or less",
+            "num_envs must be a whole number from 1 to 4194304",
         ),
         (
             lambda: gym.make_vec("LimSlam-Env1-v0", num_envs=2, world="random", plans=10**400),
-            "at most 100000 plans",
+            "plans must be a whole number from 1 to 100000",
         ),
     ],
 )
