@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Role, column_of
-from limslam_agent.logs.labelled_lines import unlabelled, unpacked
+from limslam_agent.logs.labelled_lines import Line, unlabelled, unpacked
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -44,7 +44,6 @@ from limslam_agent.logs.table_motion import Odometry
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.logs.table_text import (
     MOST_DAMAGED,
-    Line,
     Rows,
     has_rows_of_numbers,
     split_header,

@@ -20,10 +20,16 @@ _VALUE = rf"[^\s:=,;|]*(?::\d[\d:.]*)?{_UNIT}"
 _PAIR = re.compile(rf"\s*({_NAME})\s*[:=]\s*({_VALUE})\s*(?:[,;|]|\s|$)")
 _ITEM = rb"[-+]?(?:[\d.][\d.eE+-]*|inf|nan|none|null)"
 _LIST = re.compile(rb"[\[(]\s*(%b(?:[,;\s]+%b)+)[,;\s]*[\])]" % (_ITEM, _ITEM), re.IGNORECASE)
+_AS_JSON = {"'": '"', "None": "null", "nan": "NaN", "inf": "Infinity"}
+_PYTHON = re.compile(r"'|\b(?:None|nan|inf)\b")
 _MARKS = (b";", b"\t", b",")
 _JSON = re.compile(r"\s*\[?\s*\{")
 
+MONITOR_TIME = re.compile(rb"^(\d\d:\d\d:\d\d(?:\.\d+)?) -> ")
+"""What a serial monitor writes before each line."""
+
 Line = tuple[int, bytes]
+"""A line with its number, counted from 1."""
 
 
 def unlabelled(lines: Iterable[Line]) -> Iterator[Line]:
@@ -92,6 +98,9 @@ def _records(line: bytes) -> list[dict[str, str]]:
     """The values of a line by their names, for each record in it; none for another line."""
     if not (b":" in line or b"=" in line):
         return []
+    if monitor := MONITOR_TIME.match(line):
+        clock = {"monitor_time": monitor[1].decode()}
+        return [record | clock for record in _records(line[monitor.end() :])]
     text = line.decode("utf-8", "replace").strip()
     if _JSON.match(text):
         return list(_objects(text.lstrip("[ \t")))
@@ -106,6 +115,8 @@ def _records(line: bytes) -> list[dict[str, str]]:
 def _objects(text: str) -> Iterator[dict[str, str]]:
     """The objects of JSON at the beginning of a text, which commas separate."""
     decoder = json.JSONDecoder()
+    if "'" in text:  # as Python prints it
+        text = _PYTHON.sub(lambda found: _AS_JSON[found[0]], text)
     while text.startswith("{"):
         try:
             found, end = decoder.raw_decode(text)
