@@ -373,6 +373,8 @@ def test_actions_must_be_those_of_the_robots_that_are_there(change):
     }
     with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
         env.step(actions)
+    with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
+        env.step(list(actions))
     # A refusal moves nothing.
     assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
 
@@ -453,7 +455,7 @@ def test_a_number_of_robots_that_cannot_be_is_refused(robots):
 @pytest.mark.parametrize("cycles", [0, -5])
 def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
     with pytest.raises(
-        ValueError, match=f"max_cycles must be a whole number, 1 or more, or None, not {cycles}"
+        ValueError, match=f"max_cycles must be a whole number from 1 to 1000000000, not {cycles}"
     ):
         LimSlamParallelEnv("env1", max_cycles=cycles)
 
