@@ -8,11 +8,11 @@
 - ``NaN`` stays: there is no reading. It is skipped and counted.
 - Negative numbers and ``-inf`` become ``NaN``. They are skipped and counted.
 
-A program reports ``NaN``, a negative number, 0 or 65535 where nothing was seen, or where nothing
-was measured, and no single reading shows which. A log as a whole does: what is reported in place of
-"nothing was seen" stands beside readings near the longest range. :func:`settled` decides it so. An
-observation of a robot that drives is taken as above, so a program whose sensor reports something
-else where nothing was seen replaces it by infinity.
+A program reports ``NaN``, a negative number, 0, 65535 or another number of its own where nothing
+was seen, or where nothing was measured, and no single reading shows which. A log as a whole does:
+what is reported in place of "nothing was seen" stands beside readings near the longest range.
+:func:`settled` decides it so. An observation of a robot that drives is taken as above, so a program
+whose sensor reports something else where nothing was seen replaces it by infinity.
 
 A reading is used once. A loop that is faster than its sensors reports the same reading several
 times, at different poses. Noise and resolution seldom make two readings of a moving robot equal, so
@@ -50,6 +50,10 @@ _NEAR_END = 0.85
 # Missing readings mean that nothing was seen if the odds of the readings beside them to be near the
 # end are so many times those of all readings, and that by so many standard deviations.
 _ODDS = 2.0
+# One number is reported in place of "nothing was seen" if it is so many times as frequent as each
+# other one, and more than this share of the readings.
+_TIMES_OFTEN = 5.0
+_LEAST_CODE = 0.03
 _SIGMAS = 3.0
 _FEWEST = 10  # readings beside missing ones that say something
 # m: no wall comes nearer by more than this between two readings.
@@ -182,11 +186,31 @@ def _kinds(values: FloatArray, robot: RobotSpec) -> list[_Kind]:
     for mask, _ in masks.values():
         others[mask] = math.nan
     readings = as_readings(others, robot.min_ranges, robot.max_ranges)
-    return [
+    kinds = [
         _Kind(words, mask, readings, default)
         for words, (mask, default) in masks.items()
         if mask.any()
     ]
+    code = _code(readings, robot)
+    mask = readings == code
+    kind = _Kind(f"{code:.3g} m", mask, np.where(mask, math.nan, readings), "not-measured")
+    return [*kinds, kind] if mask.any() and _meaning(kind, robot)[0] == "nothing" else kinds
+
+
+def _code(readings: FloatArray, robot: RobotSpec) -> float:
+    """The reading of a wall (m) that stands far more often than any other among readings (m,
+    n_beams), m, and is no farthest one. NaN if there is none.
+    """
+    walls = readings[(readings > robot.too_near) & (readings < robot.too_far)]
+    numbers, counts = np.unique(walls, return_counts=True)
+    if len(numbers) < _FEWEST:
+        return math.nan
+    *_, second, most = np.sort(counts)
+    code = float(numbers[np.argmax(counts)])
+    others = walls[walls != code]
+    is_apart = code > others.max() or code < _NEAR_END * float(np.quantile(others, _END))
+    is_often = most > max(_TIMES_OFTEN * second, _LEAST_CODE * readings.size)
+    return code if is_often and is_apart else math.nan
 
 
 def _decided(kind: _Kind, robot: RobotSpec) -> tuple[str, str]:

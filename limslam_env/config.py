@@ -7,6 +7,7 @@ from typing import Any, Self, TypeAlias
 import numpy as np
 
 from limslam_env.geometry.numbers import check_number, is_number
+from limslam_env.messages import described
 
 Setting: TypeAlias = float | tuple[float, float]
 """A number, or a range (low, high) that a new value is drawn from at each reset."""
@@ -116,7 +117,7 @@ class NoiseConfig:
             if not lies_within(value, lowest, highest):
                 raise ValueError(
                     f"{name} must be a number from {lowest:g} to {highest:g}, or a range of such "
-                    f"numbers, not {value}"
+                    f"numbers, not {described(value)}"
                 )
 
     @classmethod

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.numbers import check_count, check_number, is_number
+from limslam_env.geometry.numbers import check_count, check_number
 from limslam_env.geometry.se2 import wrap_angle
 
 Side = Literal["left", "right", "none"]
@@ -44,6 +44,14 @@ MOST_BEAMS = 4096
 
 MOST_STEPS = 1_000_000
 """Largest number of steps between two measurements of a beam."""
+
+_BEAM_LIMITS = {
+    "x": (-LARGEST_BODY, LARGEST_BODY, "m"),
+    "y": (-LARGEST_BODY, LARGEST_BODY, "m"),
+    "angle": (-4.0 * math.pi, 4.0 * math.pi, "rad"),
+    "min_range": (0.0, LARGEST_RANGE, "m"),
+    "max_range": (0.0, LARGEST_RANGE, "m"),
+}
 
 _LIMITS = {
     "radius": (1e-3, LARGEST_BODY, "m"),
@@ -141,24 +149,11 @@ class SensorSpec:
     phase: int = 0
 
     def __post_init__(self) -> None:
-        numbers = self.x, self.y, self.angle, self.min_range, self.max_range
-        if not all(is_number(number) and math.isfinite(number) for number in numbers):
-            raise ValueError("a beam's place, angle and ranges must be finite numbers")
-        if max(map(abs, (self.x, self.y))) > LARGEST_BODY or self.max_range > LARGEST_RANGE:
+        for name, (low, high, unit) in _BEAM_LIMITS.items():
+            check_number(f"a beam's {name}", getattr(self, name), low, high, unit)
+        if self.min_range >= self.max_range:
             raise ValueError(
-                f"a beam's place and max_range must be metres, within {LARGEST_BODY:g} m of the "
-                "robot's centre and at "
-                f"most {LARGEST_RANGE:g} m, not x {self.x:g}, y {self.y:g} and max_range "
-                f"{self.max_range:g}"
-            )
-        if abs(self.angle) > 4.0 * math.pi:
-            raise ValueError(
-                f"a beam's angle is within 4 pi rad, not {self.angle:g}: is it in rad?"
-            )
-        if not 0.0 <= self.min_range < self.max_range:
-            raise ValueError(
-                f"a beam needs 0 <= min_range < max_range, not {self.min_range} and "
-                f"{self.max_range}"
+                f"a beam needs min_range < max_range, not {self.min_range} and {self.max_range}"
             )
         if self.side is None:
             object.__setattr__(self, "side", side_of(self.angle))

@@ -5,6 +5,7 @@ control a terminal.
 import functools
 import os
 import sys
+from numbers import Real
 
 QUIET = "LIMSLAM_QUIET"
 """Name of the environment variable that switches off the messages about what takes long, if it is
@@ -48,7 +49,8 @@ def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
 def described(value: object) -> str:
     """What a value looks like, for a message: at most 200 characters, whatever it is."""
     try:
-        text = repr(value)
+        # Numbers of numpy look like others.
+        text = str(value) if isinstance(value, Real) else repr(value)
     except ValueError:  # a whole number with thousands of digits
         text = f"a very large {type(value).__name__}"
     return one_line(text, LONGEST_VALUE)

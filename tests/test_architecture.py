@@ -32,13 +32,13 @@ def agent(*names: str) -> set[str]:
 # always import itself.
 ENV = {
     "limslam_env": env("config", "interface"),
-    "limslam_env.geometry": set(),
+    "limslam_env.geometry": env("messages"),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
     "limslam_env.canvas": {GEOMETRY},
     "limslam_env.overlay": {GEOMETRY},
     "limslam_env.toml_text": set(),
-    "limslam_env.config": {GEOMETRY},
+    "limslam_env.config": {GEOMETRY, *env("messages")},
     "limslam_env.robots": {GEOMETRY, INTERFACE},
     "limslam_env.worlds": {GEOMETRY, *env("canvas", "messages", "kernels")},
     # A world may be named by the seed of a floor plan.
@@ -46,7 +46,7 @@ ENV = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *env("worlds", "worlds.generation", "messages"),
     },
-    "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
+    "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config", "messages")},
     "limslam_env.linking": set(),
     "limslam_env.compilation": env("kept_code", "linking", "messages"),
     "limslam_env.kept_code": env("messages"),

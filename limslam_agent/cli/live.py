@@ -17,11 +17,15 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.orders import Orders
     from limslam_agent.live.protocol import Hello
+    from limslam_agent.live.recording import Recording
     from limslam_agent.live.session import Session, Wired
     from limslam_agent.live.transports import Transport
     from limslam_agent.mapping.team import LimSlamAgent
     from limslam_agent.places.saved_map import SavedMap
     from limslam_env.interface import RobotSpec
+
+# By this factor, the period of telemetry is another one than the hello says.
+_OTHER_CLOCK = 3.0
 
 
 @takes(LiveOptions)
@@ -76,6 +80,7 @@ def carry_out(
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.policies import policies_by_belief
     from limslam_agent.runs.policy_file import naming_lines_of
+    from limslam_env.messages import counted
 
     target = options.out or Path("runs") / "live"
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
@@ -100,12 +105,13 @@ def carry_out(
                     reason = session.drive(options.max_time, options.patience)
             if not len(recording):
                 raise NoRobotError(
-                    f"the robot {hello.name} has said hello, but has sent no telemetry that fits it"
+                    f"the robot {hello.name} has said hello, but has sent no telemetry with "
+                    f"{counted(hello.beams, 'range')}{wired.link.trouble}"
                 )
             typer.echo("smoothing   and writing the map", err=True)
             result = write_session(folder.beside, session, f"live {hello.name}", reason, prior_map)
             write_live_settings(folder.beside, options, config)
-    warn(list(recording.log().readings_notes))
+    warn([*recording.log().readings_notes, *_about_clock(recording)])
     say(*session_lines(result), f"results     {folder.target}")
 
 
@@ -174,6 +180,7 @@ def _display(
     decision.
     """
     from limslam_agent.inspect.live_page import Controls, Follower, live_page
+    from limslam_env.messages import counted
 
     with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
         follower = None
@@ -189,9 +196,10 @@ def _display(
             save_if_due()
             newest = session.recording.newest
             seconds = 0.0 if newest is None else newest.time
-            walls = f"{len(agent.slam.segments)} walls"
-            lost = f"{session.recording.lost} lines lost"
-            advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.state}  {lost}")
+            walls = counted(len(agent.slam.segments), "wall")
+            lost = counted(session.recording.lost, "line")
+            state = f"{walls}  {agent.status}  {session.state}  {lost} lost"
+            advance(seconds, f"{seconds:6.1f} s  {state}")
             while len(events) < len(agent.mapper.places.events):
                 events.append(agent.mapper.places.events[len(events)].record["event"])
                 say(f"place       {events[-1]} after {seconds:.1f} s", err=True)
@@ -237,3 +245,12 @@ def _warn_about(hello: "Hello") -> None:
             f"{hello.period_ms} ms"
         )
         warn([f"{words}: one lost line stops the wheels"])
+
+
+def _about_clock(recording: "Recording") -> list[str]:
+    """A warning if the robot's clock does not count the milliseconds that its hello says."""
+    said, clock = recording.robot.control_period, recording.period
+    if not (clock < said / _OTHER_CLOCK or clock > said * _OTHER_CLOCK):
+        return []
+    words = f"by the robot's clock, {1e3 * clock:.0f} ms pass between two lines"
+    return [f"{words}, and by its hello {1e3 * said:.0f} ms: does its clock count ms?"]

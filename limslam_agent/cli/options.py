@@ -202,7 +202,8 @@ class ReplayOptions(Bounded):
         Help(_TABLE, "Distance between the wheels, m, in place of the robot's.", "that of --robot"),
     ] = None
     range_unit: Annotated[
-        str | None, Help(_TABLE, "Unit of the ranges: m, cm or mm.", "that of their names, or m")
+        str | None,
+        Help(_TABLE, "Unit of the ranges: m, cm, mm or in.", "that of their names, or m"),
     ] = None
     time_unit: Annotated[
         str | None,
@@ -212,6 +213,9 @@ class ReplayOptions(Bounded):
             "that of the name or of the spacing, or s",
         ),
     ] = None
+    rate: Annotated[
+        float | None, Help(_TABLE, "Rows in a second, in place of a column of times.", "none")
+    ] = None
     angle_unit: Annotated[
         str | None,
         Help(_TABLE, "Unit of headings and turns: rad or deg.", "that of their names, or rad"),
@@ -220,12 +224,13 @@ class ReplayOptions(Bounded):
         str | None,
         Help(
             _TABLE,
-            "Unit of positions and travelled distances: m, cm or mm.",
+            "Unit of positions and travelled distances: m, cm, mm or in.",
             "that of their names, or m",
         ),
     ] = None
     wheel_radius: Annotated[
-        float | None, Help(_TABLE, "Radius of the wheels, m, of speeds in rad/s or rpm.", "none")
+        float | None,
+        Help(_TABLE, "Radius of the wheels, m, of turns in rad, rad/s or rpm.", "none"),
     ] = None
     zone_axes: Annotated[
         str | None,

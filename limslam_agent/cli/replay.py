@@ -175,7 +175,7 @@ def _describe(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
     from limslam_agent.replay.misreading import misread
 
     say(f"log         {path}", *description(log))
-    warn(log_warnings(log, misread(log, options.metres_per_tick)))
+    warn(log_warnings(log, misread(log, options.metres_per_tick, options.wheel_radius)))
 
 
 def _check_reading(path: Path, log: "RecordedLog", options: ReplayOptions) -> None:
@@ -183,7 +183,7 @@ def _check_reading(path: Path, log: "RecordedLog", options: ReplayOptions) -> No
     from limslam_agent.replay.checks import log_warnings
     from limslam_agent.replay.misreading import misread
 
-    misreading = misread(log, options.metres_per_tick)
+    misreading = misread(log, options.metres_per_tick, options.wheel_radius)
     if misreading is not None and misreading.is_certain and not options.as_read:
         raise ValueError(f"{path}: {misreading.words}; --as-read replays the log as it is")
     warn(log_warnings(log, misreading))
@@ -285,6 +285,7 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
         angle_unit=options.angle_unit,
         position_unit=options.position_unit,
         wheel_radius=options.wheel_radius,
+        rate=options.rate,
     )
 
 

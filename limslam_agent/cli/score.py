@@ -132,7 +132,7 @@ def _scores(options: ScoreOptions, robot: "RobotSpec") -> dict[str, float | int 
         pairs = read_pairs(
             options.true, options.estimated, options.covariances, options.max_difference
         )
-        warn([*out_of_plane(options.true), *out_of_plane(options.estimated)])
+        warn([*out_of_plane(options.true), *out_of_plane(options.estimated), *pairs.doubts()])
         motion = pairs.alignment(options.align)
         scores |= trajectory_scores(pairs.moved(motion))
     if options.estimated is not None and options.relations is not None:

@@ -31,10 +31,12 @@ class Bounds:
         """
         is_number = isinstance(value, Integral if self.is_whole else Real)
         if isinstance(value, bool) or not is_number or not self.low <= value <= self.high:
+            # The command line imports this module, but not the simulator.
+            from limslam_env.messages import described
+
             kind = "whole number" if self.is_whole else "number"
-            raise ValueError(
-                f"{name} must be a {kind} from {self.low:g} to {self.high:g}, not {value}"
-            )
+            limits = f"{self.low:g} to {self.high:g}"
+            raise ValueError(f"{name} must be a {kind} from {limits}, not {described(value)}")
 
 
 Number = Annotated[float, Bounds(-1e6, 1e6)]

@@ -8,6 +8,7 @@ from limslam_agent.output.finished_run import LOG
 from limslam_agent.output.summary import record_summary, replay_summary
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.replay import replay_log, write_replay
+from limslam_env.messages import counted
 
 
 def write_session(
@@ -39,17 +40,20 @@ def session_lines(result: dict[str, Any]) -> list[str]:
     counts = [
         f"{metrics[name]} {words}"
         for name, words in (
-            ("packets_lost", "lines lost"),
+            ("packets_lost", "lost"),
             ("packets_late", "late"),
             ("packets_doubled", "doubled"),
             ("packets_implausible", "implausible"),
             ("lines_bad", "not readable"),
-            ("reconnections", "reconnections"),
-            ("watchdog_stops", "stops by the watchdog"),
         )
         if metrics[name]
     ]
-    link = ", ".join([f"{metrics['packets']} lines", *times, *counts])
+    events = [
+        counted(metrics[name], noun)
+        for name, noun in (("reconnections", "reconnection"), ("watchdog_stops", "watchdog stop"))
+        if metrics[name]
+    ]
+    link = ", ".join([counted(metrics["packets"], "line"), *times, *counts, *events])
     return [
         *record_summary(result),
         f"stopped     {metrics['stop_reason']}",

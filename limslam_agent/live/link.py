@@ -17,6 +17,7 @@ from limslam_agent.live.protocol import (
     encode,
 )
 from limslam_agent.live.transports import Transport
+from limslam_env.messages import counted, described
 
 POLL = 0.02
 """Longest wait for a message before something else is done, s."""
@@ -43,6 +44,7 @@ class Connection(ABC):
         self.clock = clock
         self.bad_lines = 0
         self._seq = 0
+        self._newest_bad: tuple[bytes, BadLineError] | None = None
 
     @property
     def late(self) -> int:
@@ -50,6 +52,17 @@ class Connection(ABC):
         twice. Those of lines are found by their sequence numbers, in the recording.
         """
         return 0
+
+    @property
+    def trouble(self) -> str:
+        """How many lines were not readable, with the newest one and what is wrong with it, in words
+        that follow an error; empty if there are none.
+        """
+        if self._newest_bad is None:
+            return ""
+        line, why = self._newest_bad
+        lines = counted(self.bad_lines, "line")
+        return f"; {lines} not readable, at last {described(line.decode('latin-1'))}: {why}"
 
     @abstractmethod
     def first_hello(self, patience: float) -> Hello:
@@ -89,8 +102,9 @@ class Link(Connection):
         for line in self.transport.receive(timeout):
             try:
                 messages.append(decode(line))
-            except BadLineError:
+            except BadLineError as error:
                 self.bad_lines += 1
+                self._newest_bad = line, error
         return messages
 
     def send(self, command: Command) -> None:
@@ -113,8 +127,7 @@ class Link(Connection):
             for message in self.receive(POLL):
                 if isinstance(message, Hello):
                     return _checked(message)
-        lines = f"; {self.bad_lines} lines were not readable" if self.bad_lines else ""
-        raise NoRobotError(f"no robot has answered within {patience:g} s{lines}")
+        raise NoRobotError(f"no robot has answered within {patience:g} s{self.trouble}")
 
 
 def _checked(hello: Hello) -> Hello:

@@ -168,8 +168,11 @@ def decode(line: bytes) -> Message:
     """
     line = line.removesuffix(b"\n").removesuffix(b"\r")
     body, asterisk, check = line.rpartition(b"*")
-    if len(line) >= LONGEST_LINE or not asterisk or check != b"%04X" % checksum(body):
-        raise BadLineError("the checksum is wrong")
+    if len(line) >= LONGEST_LINE:
+        raise BadLineError(f"it has more than {LONGEST_LINE} bytes")
+    right = b"%04X" % checksum(body if asterisk else line)
+    if check != right or not asterisk:
+        raise BadLineError(f"it must end with *{right.decode()}")
     letter, *words = body.decode("latin-1").split(",")
     if letter == _WITH_HEADING:
         return _read(Telemetry, words, has_heading=True)
@@ -214,7 +217,7 @@ def _read(kind: type[Message], words: list[str], *, has_heading: bool = False) -
 
 def _number(word: str) -> int:
     if not _NUMBER.fullmatch(word):
-        raise BadLineError(f"{word!r} is not a whole number")
+        raise BadLineError(f"{word!r} is not a whole number of 10 digits at most")
     return int(word)
 
 

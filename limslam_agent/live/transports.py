@@ -14,6 +14,7 @@ from limslam_agent.live.protocol import (
     OLDEST,
     BadLineError,
     Hello,
+    Message,
     decode,
     is_name,
 )
@@ -138,10 +139,15 @@ class Seat:
 def _hellos(lines: list[bytes]) -> Iterator[Hello]:
     """The hellos of a datagram. It has room for a few lines."""
     for line in lines[:_LINES_OF_DATAGRAM]:
-        with suppress(BadLineError):
-            message = decode(line)
-            if isinstance(message, Hello):
-                yield message
+        if isinstance(message := _message(line), Hello):
+            yield message
+
+
+def _message(line: bytes) -> Message | None:
+    """The message of a line; None if it is none."""
+    with suppress(BadLineError):
+        return decode(line)
+    return None
 
 
 class UdpTransport:
@@ -193,7 +199,9 @@ class UdpTransport:
         self.port: int = self._socket.getsockname()[1]
 
     def receive(self, timeout: float) -> list[bytes]:
-        """The lines of all datagrams that the robot has sent."""
+        """The lines of all datagrams that the robot has sent; without a robot, those of anybody
+        that are no messages.
+        """
         begin = time.monotonic()
         arrived = datagrams(self._socket, timeout)
         self._seat.listened(time.monotonic() - begin)
@@ -202,6 +210,8 @@ class UdpTransport:
             lines = LineBuffer().add(data)
             if self._seat.admits(lines, sender):
                 found += lines
+            elif self._seat.robot is None:  # so that it can be said what is wrong with them
+                found += [each for each in lines[:_LINES_OF_DATAGRAM] if _message(each) is None]
         return found
 
     def send(self, line: bytes) -> None:

@@ -48,11 +48,12 @@ class Dimension(StrEnum):
     SPEED = "speed"
     TURN_RATE = "turn rate"
     TICKS = "ticks"
+    TICK_RATE = "tick rate"
 
 
 UNITS = {
     Dimension.TIME: {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    Dimension.LENGTH: {"m": 1.0, "cm": 0.01, "mm": 0.001},
+    Dimension.LENGTH: {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254},
     Dimension.ANGLE: {"rad": 1.0, "deg": math.radians(1.0)},
     Dimension.SPEED: {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001},
     Dimension.TURN_RATE: {
@@ -61,6 +62,7 @@ UNITS = {
         "rpm": 2.0 * math.pi / 60.0,
     },
     Dimension.TICKS: {"ticks": 1.0},
+    Dimension.TICK_RATE: {"ticks/s": 1.0},
 }
 """Units of each dimension, in s, m, rad, m/s and rad/s."""
 
@@ -79,15 +81,16 @@ MEASURED: dict[Role | None, Dimension] = {
 quaternions have no unit.
 """
 
-_OF_WHEELS = {Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE, Dimension.TICKS}
+_OF_WHEELS = {*Dimension} - {Dimension.TIME}
 _SPELLINGS = {
     "s": "sec secs second seconds",
     "ms": "msec msecs millis millisecond milliseconds",
     "us": "usec usecs micros microsecond microseconds",
-    "ns": "nsec nsecs nanos nanosecond nanoseconds",
+    "ns": "nsec nsecs nanos nanosec nanosecs nanosecond nanoseconds",
     "m": "metre metres meter meters",
     "cm": "centimetre centimetres centimeter centimeters",
     "mm": "millimetre millimetres millimeter millimeters",
+    "in": "inch inches",
     "rad": "radian radians",
     "deg": "degs degree degrees",
     "m/s": "mps",
@@ -97,6 +100,7 @@ _SPELLINGS = {
     "deg/s": "dps degs/s degps",
     "rpm": "rpm",
     "ticks": "tick count counts pulse pulses",
+    "ticks/s": "tick/s counts/s pulses/s",
 }
 _UNIT_OF = {word: unit for unit in _SPELLINGS for word in (unit, *_SPELLINGS[unit].split())}
 
@@ -247,6 +251,13 @@ def column_of(name: str) -> Column:
     return Column(name)
 
 
+def is_voltage(name: str) -> bool:
+    """Whether a name is that of a range whose last word says that it is no length."""
+    *words, last = words_of(name) or [""]
+    is_length = last not in words_in("v mv volt volts adc raw")
+    return not is_length and column_of("_".join(words)).role is Role.RANGE
+
+
 def numbered(columns: Sequence[Column]) -> bool:
     """Whether the numbers in the names of ranges count the sensors: 0, 1, 2, ... or 1, 2, 3, ...,
     of a few sensors. Otherwise they are directions in degrees.
@@ -260,7 +271,7 @@ def numbered(columns: Sequence[Column]) -> bool:
 def _words(text: str) -> list[str]:
     """The words of a name in lower case; those that are written together are taken apart."""
     found: list[str] = []
-    words = words_of(text)
+    words = [word for word in words_of(text) if word != "per"]
     is_alone = len(words) == 1 or "/".join(words[1:]) in _UNIT_OF
     for word in words:
         if is_alone and _ABBREVIATED.fullmatch(word):
@@ -284,7 +295,7 @@ def _without_unit(text: str) -> Iterator[tuple[str, list[str], str | None]]:
     for length in (2, 1):
         end = words[-length:]
         if len(end) == length and (unit := _UNIT_OF.get("/".join(end))):
-            pattern = r"[\W_]*".join(["", *map(re.escape, end), "$"])
+            pattern = r"(?:[\W_]|per)*".join(["", *map(re.escape, end), "$"])
             yield re.sub(pattern, "", text, flags=re.IGNORECASE), words[:-length], unit
     yield text, words, None
 

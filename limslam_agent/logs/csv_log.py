@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.logs.columns import SCALE_OF, Role
+from limslam_agent.logs.columns import SCALE_OF, Role, column_of
+from limslam_agent.logs.labelled_lines import unlabelled, unpacked
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -38,12 +39,18 @@ from limslam_agent.logs.pose_log import (
     pose_log,
 )
 from limslam_agent.logs.recorded_log import FilePath, RecordedLog, naming, numbered_lines
-from limslam_agent.logs.table_layout import Header, Layout, layout_of, range_directions
+from limslam_agent.logs.table_layout import WHEELS, Header, Layout, layout_of, range_directions
 from limslam_agent.logs.table_motion import Odometry
 from limslam_agent.logs.table_options import TableOptions
-from limslam_agent.logs.table_text import MOST_DAMAGED, Rows, has_rows_of_numbers, split_header
+from limslam_agent.logs.table_text import (
+    MOST_DAMAGED,
+    Rows,
+    has_rows_of_numbers,
+    split_header,
+    with_units_of_cells,
+)
 from limslam_agent.logs.wording import listed, was
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.messages import counted
 
@@ -55,6 +62,13 @@ _MOST_IGNORED = 12  # columns in a note
 _CLOCK_COUNTS = 2.0**32
 _DAY = 86400.0
 _LONGEST_PAUSE = 10.0
+# The clock is slower than the rows if so many rows have one time, of so many times.
+_ROWS_A_TICK = 3
+_FEWEST_TICKS = 3
+# Robots whose rows may follow each other in turn, and the share of the motion between two rows that
+# is left between two rows of one robot
+_MOST_ROBOTS = 4
+_ALTERNATING = 0.3
 _WORDS = {
     Role.TIME: "time",
     Role.LEFT: "left wheel",
@@ -73,7 +87,7 @@ def is_csv(path: FilePath) -> bool:
     """Whether a text file, plain or gzip, is a table: it has such a header, or rows of numbers.
     Raises a LogError if the file cannot be read or is not a text file.
     """
-    return has_rows_of_numbers(numbered_lines(path))
+    return has_rows_of_numbers(unlabelled(numbered_lines(path)))
 
 
 def read_csv(
@@ -95,12 +109,16 @@ def read_csv(
     robot = options.robot
     with naming(path):
         beams = [] if robot is None else np.degrees(robot.beam_angles).tolist()
-        header, lines = split_header(numbered_lines(path), options.columns, beams)
+        lines = unpacked(unlabelled(numbered_lines(path)))
+        header, lines = split_header(lines, options.columns, beams)
+        header, lines = with_units_of_cells(header, lines)
+        if options.rate is not None:
+            header = replace(header, columns=(column_of("t"), *header.columns))
         layout = layout_of(header, has_robot=robot is not None)
         if max_range is not None:
             check_max_range(max_range)
         ranges = _Ranges.of(header, layout, options, beams_deg, max_range)
-        rows = Rows(header, layout, ranges.places)
+        rows = Rows(header, layout, ranges.places, options.rate)
         for number, line in lines:
             rows.add(number, line)
         rows.check()
@@ -147,7 +165,8 @@ class _Ranges:
             metres.append(options.along_beam(directions[index], unit))
             words.append(f"{column.name} -> range at {directions[index]:g} deg, {unit}")
         chosen = tuple(beams[index] for index in used)
-        return cls(places, chosen, np.array(metres), words, notes, layout.header(directions))
+        names = layout.header(directions)[options.rate is not None :]
+        return cls(places, chosen, np.array(metres), words, notes, names)
 
 
 def _mounted(
@@ -177,6 +196,12 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
         raise ValueError("has no row with ranges")
     unit, time_notes = _time_unit(rows, median_spacing(numbers[:, 0]), options)
     numbers[:, 0] = _continued_clock(numbers[:, 0] * SCALE_OF[unit], SCALE_OF[unit])
+    order = _order(numbers[:, 0])
+    numbers = numbers[order]
+    has_scan = has_scan[order]
+    lines = lines[order]
+    numbers[:, 0], spread_notes = _evenly_apart(numbers[:, 0])
+    _check_alternating(layout, numbers, options)
     for impossible_rows in (
         _impossible_times,
         lambda left: Odometry(layout, left, options).impossible_rows(),
@@ -192,7 +217,7 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
     begins = _begin_again(numbers, lines)
     time = numbers[:, 0]
     odometry = Odometry(layout, numbers, options, begins)
-    notes = (*_notes_of_text(rows), *ranges.notes, *time_notes, *odometry.notes)
+    notes = (*_notes_of_text(rows), *ranges.notes, *time_notes, *spread_notes, *odometry.notes)
     fields: dict[str, Any] = {
         "ranges": numbers[:, len(layout.places) :] * ranges.metres,
         "has_scan": has_scan,
@@ -219,8 +244,8 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
 def _time_unit(rows: Rows, spacing: float, options: TableOptions) -> tuple[str, list[str]]:
     """The unit of the times, and a note where their usual spacing has shown it."""
     unit = options.unit_of(rows.layout.column(Role.TIME))
-    if rows.has_calendar or unit:
-        return "s" if rows.has_calendar else str(unit), []
+    if rows.has_calendar or unit or rows.rate:
+        return unit if unit and not (rows.has_calendar or rows.rate) else "s", []
     for unit, (low, high) in _SPACINGS.items():
         if low <= spacing < high:
             note = (
@@ -287,6 +312,60 @@ def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
         is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
         time = time + turn * (np.cumsum(begins) - np.cumsum(is_late))
     return time
+
+
+def _order(time: FloatArray) -> IntArray:
+    """The order (n,) of rows at times (n,), s, in which a row that was written just before an
+    earlier one stands behind it.
+    """
+    order = np.arange(len(time))
+    before, early, late, after = (time[first : len(time) - 3 + first] for first in range(4))
+    is_late = (late < early) & (early - late <= LARGEST_STEP_BACK)
+    rows = np.flatnonzero(is_late & (before <= late) & (early <= after)) + 1
+    order[rows] = rows + 1
+    order[rows + 1] = rows
+    return order
+
+
+def _evenly_apart(time: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Times (n,), s, of a clock that is slower than the rows, such as one of whole seconds, with
+    the rows of one time evenly apart, and that in words.
+    """
+    firsts = np.flatnonzero(np.diff(time, prepend=-math.inf))
+    ticks = time[firsts]
+    if len(firsts) < _FEWEST_TICKS or len(time) < _ROWS_A_TICK * len(firsts):
+        return time, []
+    if (np.diff(ticks) < 0.0).any():
+        return time, []
+    rows = np.arange(len(time))
+    period = (ticks[-1] - ticks[1]) / (firsts[-1] - firsts[1])
+    spread = np.interp(rows, firsts, ticks)
+    for here, ends in ((rows < firsts[1], 1), (rows > firsts[-1], -1)):
+        spread[here] = ticks[ends] + period * (rows[here] - firsts[ends])
+    share = len(time) / len(firsts)
+    return spread, [f"{share:.2g} rows on average have the same time: they are taken evenly apart"]
+
+
+def _check_alternating(layout: Layout, numbers: FloatArray, options: TableOptions) -> None:
+    """Raise a ValueError if rows (n, k) of several robots follow each other in turn: the odometry
+    goes on from a row some rows before.
+    """
+    kind = next((pair for pair in ((Role.X, Role.Y), WHEELS) if pair[0] in layout.motion), None)
+    if kind is None or (kind == WHEELS and (layout.is_speed or not options.accumulated)):
+        return
+    roles = list(layout.places)
+    counted_so_far = numbers[:, [roles.index(role) for role in kind]]
+    moved = [
+        float(np.abs(counted_so_far[lag:] - counted_so_far[:-lag]).mean())
+        for lag in range(1, _MOST_ROBOTS + 1)
+        if lag < len(numbers)
+    ]
+    robots = int(np.argmin(moved)) + 1 if moved else 1
+    if robots > 1 and moved[robots - 1] < _ALTERNATING * moved[0] < math.inf:
+        raise ValueError(
+            f"the odometry of each row goes on from that {robots} rows before, as if the rows were "
+            f"those of {robots} robots: write a log for each robot"
+        )
 
 
 def _begin_again(numbers: FloatArray, lines: NDArray[np.int64]) -> BoolArray:

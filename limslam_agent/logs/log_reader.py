@@ -108,17 +108,16 @@ def _as_reported(
         if beams_deg is not None or max_range is not None:
             chosen = "beams" if beams_deg is not None else "largest range"
             raise ValueError(f"the log fixes its {chosen}, which cannot be chosen")
+        log = with_heading_beside_wheels(read_npz(path))
         _refuse_options(table)
-        return with_heading_beside_wheels(read_npz(path))
+        return log
     has_names = table is not None and bool(table.columns)
     if place.name.endswith(_TEXT_ENDINGS) or has_names or is_csv(path):
         return read_csv(path, beams_deg, max_range, table)
-    _refuse_options(table)
+    _refuse_options(table, "has no table, which has a header and rows of numbers")
     return read_carmen(path, beams_deg, reach)
 
 
-def _refuse_options(table: TableOptions | None) -> None:
+def _refuse_options(table: TableOptions | None, fact: str = "is not a table in plain text") -> None:
     if table not in (None, TableOptions()):
-        raise ValueError(
-            "is not a table in plain text, so --robot, units and --columns do not go with it"
-        )
+        raise ValueError(f"{fact}, so --robot, units and --columns do not go with it")

@@ -345,8 +345,11 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         raw.seek(0)
         file: IO[bytes] = cast("IO[bytes]", gzip.GzipFile(fileobj=raw)) if is_packed else raw
         try:
-            for line in _lines_of(file):
+            for text in _lines_of(file):
                 number += 1
+                line = text
+                if number > 1 and b"\0" in text:
+                    line = text.strip(b"\0")  # a card that lost its power leaves zeros
                 if b"\0" in line or len(line) >= LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
@@ -424,6 +427,8 @@ def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
         raise ValueError("is not an .npz file")
     arrays = load_arrays(Path(path), (*_ARRAYS, "yaw"), math.inf)
     missing = [name for name in _ARRAYS if name not in arrays]
+    if not {"time", "wheels"} & arrays.keys():
+        raise ValueError("is a zip file, and no log.npz of a run: replay what is packed in it")
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):
         raise ValueError(f"has no {' and no '.join(missing)}")

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.logs.columns import Column, Dimension, Role, column_of, numbered
+from limslam_agent.logs.columns import Column, Dimension, Role, column_of, is_voltage, numbered
 from limslam_agent.logs.directions import apart
 from limslam_agent.logs.pose_log import WORST_BEAM_MISMATCH_DEG
 from limslam_agent.logs.recorded_log import MOST_BEAMS
@@ -48,6 +48,9 @@ class Header:
         How many lines of text stand before it.
     is_chosen
         Whether the columns are those of ``--columns``.
+    endings
+        The unit after each number of a column, as in ``936 mm``, where there is one. Empty where
+        no column has one.
     """
 
     columns: tuple[Column, ...]
@@ -55,6 +58,7 @@ class Header:
     text: bytes = b""
     skipped: int = 0
     is_chosen: bool = False
+    endings: tuple[bytes, ...] = ()
 
     @property
     def source(self) -> str:
@@ -96,14 +100,27 @@ class Layout:
     @property
     def is_speed(self) -> bool:
         """Whether the odometry is calculated from speeds."""
-        rates = (Dimension.SPEED, Dimension.TURN_RATE)
+        rates = (Dimension.SPEED, Dimension.TURN_RATE, Dimension.TICK_RATE)
         of_wheels = Role.LEFT in self.motion and self.column(Role.LEFT).dimension in rates
         return Role.SPEED in self.motion or of_wheels
 
     @property
+    def counts_ticks(self) -> bool:
+        """Whether the odometry is the speeds of wheels in ticks."""
+        return Role.LEFT in self.motion and self.column(Role.LEFT).unit == "ticks/s"
+
+    @property
+    def fraction(self) -> int | None:
+        """The place of a fraction of a second, such as ``nsecs`` beside ``secs``."""
+        time = self.motion[Role.TIME]
+        after = self.columns[time + 1 : time + 2]
+        is_there = self.columns[time].unit == "s" and after and after[0].role is Role.TIME
+        return time + 1 if is_there and after[0].unit not in (None, "s") else None
+
+    @property
     def unused(self) -> list[str]:
         """Names of the columns that are not used."""
-        used = {*self.places.values(), *self.ranges}
+        used = {*self.places.values(), *self.ranges, self.fraction}
         return [
             each.name
             for place, each in enumerate(self.columns)
@@ -157,6 +174,12 @@ def layout_of(header: Header, *, has_robot: bool) -> Layout:
         missing.append(_missing_odometry({each.role for each in columns}))
     if not ranges:
         missing.append("a range (r_90, range_front)")
+        voltages = [each.name for each in columns if is_voltage(each.name)]
+        if voltages:
+            raise ValueError(
+                f"{voltages[0][:40]} is a voltage by its name: the table needs distances, by the "
+                "curve in the data sheet of the sensor"
+            )
     if missing:
         raise ValueError(_missing(missing, columns, is_chosen=header.is_chosen))
     if turning := _turning(columns, motion, ranges):
@@ -218,7 +241,9 @@ def _first_places(columns: Iterable[Column]) -> dict[Role, int]:
     """
     places: dict[Role, int] = {}
     order = (Dimension.TICKS, Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE)
-    sides: dict[Dimension, dict[Role, int]] = {dimension: {} for dimension in order}
+    sides: dict[Dimension, dict[Role, int]] = {
+        dimension: {} for dimension in (*order, Dimension.TICK_RATE, Dimension.ANGLE)
+    }
     for place, column in enumerate(columns):
         if column.role in WHEELS:
             sides[column.dimension or Dimension.TICKS].setdefault(column.role, place)
@@ -332,8 +357,9 @@ def _missing(missing: list[str], columns: Sequence[Column], *, is_chosen: bool) 
     if is_chosen:
         return f"--columns has no column with {what}: it must name {_EXAMPLE}, not {found!r}"
     names = [_canonical(each) for each in columns[:_MOST_NAMED]]
+    rate = "; --rate says how many rows there are in a second" if _TIME in missing else ""
     if NOT_USED not in names:
-        return f"no column with {what}: found {found}{more}"
+        return f"no column with {what}: found {found}{more}{rate}"
     first = names.index(NOT_USED)
     advice = "with its name in place of a - says which it is"
     if len(missing) > 1:
@@ -341,7 +367,8 @@ def _missing(missing: list[str], columns: Sequence[Column], *, is_chosen: bool) 
     elif missing[0] == _TIME:
         names[first] = str(Role.TIME)
         advice = f"says that {columns[first].name} is the time"
-    return f"no column with {what}: found {found}{more}; --columns {','.join(names)}{more} {advice}"
+    columns_named = f"--columns {','.join(names)}{more} {advice}"
+    return f"no column with {what}: found {found}{more}; {columns_named}{rate}"
 
 
 def _canonical(column: Column) -> str:
@@ -356,6 +383,12 @@ def _canonical(column: Column) -> str:
 
 def _without_directions(ranges: Sequence[Column], robot: RobotSpec | None, source: str) -> str:
     """Says which ranges have names that say no direction."""
+    if len(ranges) == 1:
+        return (
+            f"{source} has one column of ranges, {ranges[0].name}, and says no direction: the "
+            "table needs a column for each direction, as in r_90,r_0,r_-90, which is empty where "
+            "another sensor is read"
+        )
     names = ",".join(each.name for each in ranges[:_MOST_NAMED])
     beams = f"--robot FILE of {counted(len(ranges), 'beam')} says it, too"
     if robot is not None:

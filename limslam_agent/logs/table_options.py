@@ -51,7 +51,8 @@ class TableOptions:
         Whether the columns ``left`` and ``right`` count from the start of the robot, as encoder
         counters do. Otherwise they hold the travel since the row before.
     range_unit
-        ``m``, ``cm`` or ``mm``. None takes the unit in the names of the columns, or else metres.
+        ``m``, ``cm``, ``mm`` or ``in``. None takes the unit in the names of the columns, or else
+        metres.
     time_unit
         ``s``, ``ms``, ``us`` or ``ns``. None takes the unit in the name of the column, or the one
         that the spacing of the rows shows, or else seconds.
@@ -67,10 +68,12 @@ class TableOptions:
         Unit of headings and turns, ``rad`` or ``deg``. None takes the unit in the name of the
         column, or the one that the motion shows, or else radians.
     position_unit
-        Unit of positions and travelled distances, ``m``, ``cm`` or ``mm``. None takes the unit in
-        the name, or else metres.
+        Unit of positions and travelled distances, ``m``, ``cm``, ``mm`` or ``in``. None takes the
+        unit in the name, or else metres.
     wheel_radius
         Radius of the wheels, m, which speeds of wheels in rad/s or turns a minute need.
+    rate
+        How many rows there are in a second, in place of a column of times.
 
     Raises
     ------
@@ -89,9 +92,10 @@ class TableOptions:
     angle_unit: str | None = None
     position_unit: str | None = None
     wheel_radius: float | None = None
+    rate: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("metres_per_tick", "wheel_radius"):
+        for name in ("metres_per_tick", "wheel_radius", "rate"):
             number = getattr(self, name)
             if number is not None and not 0.0 < number < math.inf:
                 raise ValueError(f"{_option(name)} must be a number above 0, not {number:g}")

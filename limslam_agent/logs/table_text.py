@@ -11,13 +11,15 @@ import math
 import re
 from array import array
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
-from itertools import chain
+from itertools import chain, islice, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Column, Role, column_of
+from limslam_agent.logs.labelled_lines import MONITOR_TIME, Line
 from limslam_agent.logs.recorded_log import MOST_BEAMS, is_number, parse_number, parse_range
 from limslam_agent.logs.table_layout import DOTS, Header, Layout, columns_of, completeness
 from limslam_env.geometry import BoolArray, FloatArray
@@ -43,16 +45,15 @@ _SPACED_UNIT = re.compile(rf"\s+([\[(])\s*({_UNIT})\s*([\])])", re.IGNORECASE)
 _REMARK = re.compile(r"\s*\([^()]*\)?\s*$")
 _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
 _LONGEST_QUOTE = 60
-_DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
+_WITH_UNIT = re.compile(rf"[-+]?[\d.,]+\s*({_UNIT})".encode())
+_SHOW_UNITS = 20  # rows
+_YEAR_LAST = re.compile(r"^(\d\d?)[./-](\d\d?)[./-](\d{4})")
+_SHORT_HOUR = re.compile(r"(?<!\S)(?=\d:)")
+_HALF_OF_DAY = re.compile(r"\s*([ap])m$", re.IGNORECASE)
 _BLANK = b' \t\r\n,;"'
-# What a serial monitor writes before each line.
-_MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
 
 # A semicolon goes first: a comma beside it is a decimal mark.
-_SEPARATORS = (b";", b",", b"\t")
-
-Line = tuple[int, bytes]
-"""A line with its number, counted from 1."""
+_SEPARATORS = (b";", b"|", b",", b"\t")
 
 
 def split_header(
@@ -80,7 +81,7 @@ def split_header(
     ValueError
         If there is neither a header nor a choice, or a choice is no list of columns.
     """
-    lines = ((number, _MONITOR_TIME.sub(b"", line)) for number, line in lines)
+    lines = ((number, MONITOR_TIME.sub(b"", line)) for number, line in lines)
     seen: list[Line] = []
     size = 0
     for number, line in lines:
@@ -99,6 +100,25 @@ def split_header(
     return _header(seen[: last + 1]), chain(seen[last + 1 :], lines)
 
 
+def with_units_of_cells(header: Header, lines: Iterator[Line]) -> tuple[Header, Iterator[Line]]:
+    """The header with the units that stand beside the numbers of the first rows, and the lines."""
+    first = list(islice(lines, _SHOW_UNITS))
+    columns = list(header.columns)
+    endings = [b""] * len(columns)
+    for _, line in first:
+        for place, field in enumerate(_text_of(line).split(header.separator)[: len(columns)]):
+            found = _WITH_UNIT.fullmatch(field.strip())
+            if found is None or endings[place]:
+                continue
+            endings[place] = found[1]
+            column = columns[place]
+            if column.unit is None:
+                columns[place] = column_of(f"{column.name} [{found[1].decode()}]")
+    if any(endings):
+        header = replace(header, columns=tuple(columns), endings=tuple(endings))
+    return header, chain(first, lines)
+
+
 def has_rows_of_numbers(lines: Iterable[Line]) -> bool:
     """Whether a text is a table: one of its first lines is a complete header, or a row of numbers.
     Lines of other logs begin with a word.
@@ -114,11 +134,15 @@ def has_rows_of_numbers(lines: Iterable[Line]) -> bool:
 class Rows:
     """The numbers of the rows read so far, in packed arrays: those of the columns in ``layout``, of
     which the odometry needs a number in each row, and those of the chosen ranges at some places.
+    With a ``rate`` of rows in a second, the first column is not in the text.
     """
 
-    def __init__(self, header: Header, layout: Layout, ranges: Sequence[int]) -> None:
+    def __init__(
+        self, header: Header, layout: Layout, ranges: Sequence[int], rate: float | None = None
+    ) -> None:
         self.header = header
         self.layout = layout
+        self.rate = rate
         self.needed = list(layout.motion.values())
         self.optional = [*layout.inertial.values(), *ranges]
         self.values = array("d")
@@ -195,6 +219,8 @@ class Rows:
         is_short = len(fields) < len(columns)
         time, *others = self.needed
         values = [self._seconds(fields[time])]
+        if (part := self.layout.fraction) is not None:
+            values[0] += parse_number(fields[part], Role.TIME) * SCALE_OF[columns[part].unit or "s"]
         values += [parse_number(fields[place], str(columns[place].role)) for place in others]
         if is_short:
             values += [math.nan] * len(self.optional)
@@ -212,6 +238,11 @@ class Rows:
         fields = [field.strip() for field in text.split(separator)]
         if separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
+        if self.header.endings:
+            pairs = zip_longest(fields, self.header.endings[: len(fields)], fillvalue=b"")
+            fields = [field.removesuffix(ending).rstrip() for field, ending in pairs]
+        if self.rate is not None:
+            fields.insert(0, b"%f" % ((len(self.lines) + self.damaged) / self.rate))
         count = len(self.header.columns)
         _trim(fields, count)
         is_marked = max(self.needed) < len(fields) - 1 <= min(self.layout.ranges)
@@ -231,16 +262,30 @@ class Rows:
         if is_number(field):
             return parse_number(field, Role.TIME)
         text = field.decode("ascii", "replace")
-        text = _DAY_FIRST.sub(r"\3-\2-\1", text).replace("/", "-")
-        date = "" if "-" in text.lstrip("-")[:8] else "1970-01-01T"
+        half = _HALF_OF_DAY.search(text)
+        clock = _YEAR_LAST.sub(_iso_date, _HALF_OF_DAY.sub("", text)).replace("/", "-")
+        clock = _SHORT_HOUR.sub("0", clock)
+        date = "" if "-" in clock.lstrip("-")[:8] else "1970-01-01T"
         try:
-            moment = datetime.fromisoformat(date + text)
+            moment = datetime.fromisoformat(date + clock)
+            if half is not None:
+                moment = moment.replace(hour=moment.hour % 12 + 12 * (half[1] in "pP"))
         except ValueError:
             raise ValueError(
                 f"t is not a number, and no time such as 2026-11-28 14:03:05.25: {described(text)}"
             ) from None
         self.has_calendar = True
         return (moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()
+
+
+def _iso_date(found: re.Match[str]) -> str:
+    """A date with the year at its end, whose month stands before the day where it cannot be
+    otherwise.
+    """
+    day, month, year = found.groups()
+    if int(month) > 12:
+        day, month = month, day
+    return f"{year}-{month:0>2}-{day:0>2}"
 
 
 def _trim(fields: list[bytes], count: int) -> None:

@@ -202,8 +202,8 @@ class Frames:
             self._watch(number, is_busy=slam.last_extraction is not last)
         for pose, front, drawer in zip(slam.poses, slam.robots, self._drawers, strict=True):
             drawer.draw(self.grid, self.frame, pose, front.ranges, front.measured)
-        if self.renewal.is_possible and "wheels" in observations[0]:
-            self.renewal.note()
+        if self.renewal.is_possible:
+            self.renewal.note(observations[0])
 
     def _follow_corrections(self, before: FloatArray) -> None:
         """See to it that monitors and grid know what the SLAM has corrected since the poses

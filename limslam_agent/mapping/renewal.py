@@ -23,6 +23,7 @@ from limslam_agent.status.rays import rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
+from limslam_env.interface import Observation
 
 if TYPE_CHECKING:
     from limslam_agent.slam.line_graph.run import FilteredRun
@@ -100,9 +101,13 @@ class Renewal:
         """Number of the step with whose estimate the stretch begins; the next one without it."""
         return self._drive.end if self._start is None else self._first
 
-    def note(self) -> None:
-        """Note that the SLAM has processed the latest step."""
-        if self._start is None:
+    def note(self, observation: Observation) -> None:
+        """Note that the SLAM has processed the latest step. A step by odometry ends the stretch,
+        since the smoother takes wheels.
+        """
+        if "wheels" not in observation:
+            self._start = None
+        elif self._start is None:
             self._begin()
 
     def renew_if_due(self) -> bool:

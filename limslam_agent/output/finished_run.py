@@ -14,7 +14,7 @@ import numpy as np
 from limslam_agent.map_file import read_map_file
 from limslam_agent.output.claims import OutputError, hidden, repair
 from limslam_agent.output.run_folder import RESULT_FILE
-from limslam_agent.output.tum import TrajectoryError, read_tum
+from limslam_agent.output.tum import read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted, one_line
@@ -255,7 +255,7 @@ def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
         return [
             np.column_stack(read_tum(path)) for path in ([single] if single.is_file() else several)
         ]
-    except TrajectoryError as error:
+    except ValueError as error:
         raise FolderError(str(error)) from error
 
 

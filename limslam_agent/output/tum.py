@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from limslam_agent.safe_files import read_limited
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.numbers import check_poses
 from limslam_env.messages import one_line
 
 # A robot on a floor rises by less, m, and is tilted by less, deg.
@@ -49,8 +50,8 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     ``#``.
 
     The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x. Raises a
-    TrajectoryError if the file cannot be read, has a line with other fields or a quaternion of
-    length 0, or has no poses.
+    ValueError if the file cannot be read, has a line with other fields or a quaternion of length 0,
+    a coordinate that is too large, or no poses.
     """
     numbers, table = read_rows(path, "t x y z qx qy qz qw")
     if not len(table):
@@ -60,7 +61,9 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
         raise TrajectoryError(
             f"{path}: line {numbers[int(np.argmin(is_turn))]} has a quaternion of length 0"
         )
-    return table[:, 0], np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
+    poses = np.column_stack((table[:, 1:3], _yaw(table[:, 4:])))
+    check_poses(f"{path}: coordinates", poses)
+    return table[:, 0], poses
 
 
 def out_of_plane(path: Path) -> list[str]:
@@ -82,8 +85,9 @@ def out_of_plane(path: Path) -> list[str]:
     return [f"{found}: their projection on the plane x-y is scored"]
 
 
-def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
-    """Numbers of the lines (n,), counted from 1, and a table (n, k) of the finite numbers in them.
+def read_rows(path: Path, form: str) -> tuple[IntArray, FloatArray]:
+    """Numbers of the lines (n,), counted from 1, and a table (n, k) of the finite numbers in them,
+    by the order of the first number, the time.
 
     ``form`` names the k numbers of a line. Comments begin with ``#``. Raises a TrajectoryError if
     the file cannot be read, or a line has other fields.
@@ -106,7 +110,9 @@ def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
             raise TrajectoryError(f"{path}: line {number} is not {form}")
         numbers.append(number)
         rows.append(row)
-    return numbers, np.array(rows).reshape(-1, width)
+    table = np.array(rows).reshape(-1, width)
+    order = np.argsort(table[:, 0], kind="stable")
+    return np.array(numbers, dtype=int)[order], table[order]
 
 
 def _numbers(text: str) -> list[float]:

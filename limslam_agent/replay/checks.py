@@ -26,8 +26,6 @@ _BY_CHANCE = 0.01
 # known.
 _LARGEST_STEP = 0.5
 _LEAST_DRIVEN = 1.0  # m of driving, below which walls cannot be expected
-# m/s: a robot that is faster on average has odometry in another unit, or times in another unit
-_FASTEST = 20.0
 # If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both
 # benchmark logs have 0.4 to 0.7 rad/m.
 _MOST_TURNS = 4.0
@@ -40,8 +38,10 @@ _CLEARLY_FASTER = 1.2
 _GOES_NOWHERE = 0.05
 # share of readings of the other beams that saw nothing, above which a beam may never see a wall
 _MANY_NOTHING = 0.3
-# m: if the middle half of the readings of a beam has a wider range, the robot has moved
-_LEAST_SPREAD = 0.5
+# Of the longest range, and m: if the middle half of the readings of a beam has a wider range, the
+# robot has moved.
+_LEAST_SPREAD = 0.25
+_ENOUGH_SPREAD = 0.5
 
 
 def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list[str]:
@@ -52,7 +52,8 @@ def log_warnings(log: RecordedLog, misreading: Misreading | None = None) -> list
     """
     clock = _clock(log)
     found = "" if misreading is None else misreading.words
-    odometry = "" if clock else _poses(log) or _wheels(log) or found or _counts(log)
+    moves = _wheels(log) or found or _poses(log) or _counts(log) or _stays(log)
+    odometry = "" if clock else moves
     breaks = [breaks_in_words(log.breaks) if log.breaks else "", _uncounted(log), _long_steps(log)]
     ranges = [*log.readings_notes, _ranges(log), _beams(log)]
     return [line for line in (*log.notes, clock, *breaks, *ranges, odometry) if line]
@@ -132,7 +133,7 @@ def _beams(log: RecordedLog) -> str:
     """Beams that always say the same or nothing, although the readings of another one show that the
     robot has moved.
     """
-    if _spread(log) < _LEAST_SPREAD:
+    if not _has_moved(log):
         return ""
     too_far = log.robot.too_far
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
@@ -159,29 +160,31 @@ def _beams(log: RecordedLog) -> str:
     return f"{', '.join(findings)}: is its sensor connected? --beams={kept} leaves it out"
 
 
+def _stays(log: RecordedLog) -> str:
+    """Whether the robot stays where it is by its odometry, although its readings change."""
+    poses = log.continuous_odometry
+    if poses is None and log.wheels is not None:
+        poses = se2.driven(log.wheels[1:], log.robot.axle, np.zeros(3))
+    reach = 0.0 if poses is None else float(np.hypot(*np.ptp(poses[:, :2], axis=0)))
+    if not (0.0 < reach < _LEAST_DRIVEN and _has_moved(log)):
+        return ""
+    remedy = "--position-unit converts" if log.wheels is None else "--metres-per-tick converts"
+    return (
+        f"by odometry the robot stays within {reach:.2f} m, but its readings change by "
+        f"{_spread(log):.2f} m: is odometry missing, or not in metres? {remedy}"
+    )
+
+
 def _poses(log: RecordedLog) -> str:
-    """What is unlikely about odometry poses: whether and how fast they move, and which way."""
+    """What is unlikely about odometry poses: which way they move."""
     odometry = log.continuous_odometry
     if odometry is None:
         return ""
-    reach = float(np.hypot(*np.ptp(odometry[:, :2], axis=0)))
-    if reach < _LEAST_DRIVEN:
-        spread = _spread(log)
-        if spread < _LEAST_SPREAD:
-            return ""
-        return (
-            f"by odometry the robot stays within {reach:.2f} m, but its readings change by "
-            f"{spread:.2f} m: is odometry missing, or not in metres? --position-unit converts"
-        )
     moves = np.diff(odometry[:, :2], axis=0)
     lengths = np.hypot(*moves.T)
     driven = float(lengths.sum())
-    speed = driven / max(float(np.ptp(log.time)), 1e-9)
-    if speed > _FASTEST:
-        return (
-            f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres? "
-            "--position-unit converts"
-        )
+    if driven < _LEAST_DRIVEN:
+        return ""
     per_metre = float(np.abs(se2.wrap_angle(np.diff(odometry[:, 2]))).sum()) / driven
     # How well the direction of driving follows the heading, ahead or back, from 0 to 1
     aside = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
@@ -240,6 +243,12 @@ def _counts(log: RecordedLog) -> str:
         f"the wheels travel {most:.1f} m and get no farther than {reach:.2f} m: are left and right "
         "the travel since the row before? Then leave out --accumulated"
     )
+
+
+def _has_moved(log: RecordedLog) -> bool:
+    """Whether the readings show that the robot has moved."""
+    reach = float(log.robot.max_ranges.max())
+    return _spread(log) >= min(_LEAST_SPREAD * reach, _ENOUGH_SPREAD)
 
 
 def _spread(log: RecordedLog) -> float:

@@ -51,7 +51,10 @@ _CERTAIN_SIGMAS = 5.0
 
 _BEAM = re.compile(r"^(-?r_)(-?)(?=[\d.]*[1-9])")
 _SAME_ANGLE = 0.02  # rad
-_OF_TICKS = {None, Dimension.TICKS}
+_OF_TICKS = {None, Dimension.TICKS, Dimension.TICK_RATE}
+# A robot whose odometry goes on average by more than so many of its longest ranges in a second has
+# odometry in another unit.
+_MOST_REACHES = 2.0
 _FORWARD = {Role.SPEED, Role.DISTANCE}
 _MOTIONS = {Role.TURN_RATE, Role.YAW_RATE, Role.ANGLE, Role.YAW, Role.HEADING}
 # Distance, and turn times the axle, by the travel of both wheels.
@@ -138,6 +141,8 @@ _READINGS = (
         "the wheels are exchanged, and the true left one counts the other way",
         ((0.0, -1.0), (1.0, 0.0)),
     ),
+    _Reading("the left wheel travels 2 times as far", ((2.0, 0.0), (0.0, 1.0))),
+    _Reading("the right wheel travels 2 times as far", ((1.0, 0.0), (0.0, 2.0))),
     *(_Reading(tick=size) for size in (0.25, 0.5, 2.0, 4.0)),
     *(_Reading(axle=size) for size in (2.0 / 3.0, 0.75, 4.0 / 3.0, 1.5)),
 )
@@ -168,12 +173,14 @@ _READINGS_OF_POSES = (
 )
 
 
-def misread(log: RecordedLog, metres_per_tick: float = 1.0) -> Misreading | None:
+def misread(
+    log: RecordedLog, metres_per_tick: float = 1.0, wheel_radius: float | None = None
+) -> Misreading | None:
     """Another way to read a log that its ranges fit better. None if nothing is clearly better, or
     too little was driven.
 
-    Only a log of wheel travel is misread for certain. A live robot could be asked after each metre:
-    the score needs the last two stretches alone.
+    Only a log of wheel travel, or of poses in another unit, is misread for certain. A live robot
+    could be asked after each metre: the score needs the last two stretches alone.
 
     Parameters
     ----------
@@ -181,13 +188,24 @@ def misread(log: RecordedLog, metres_per_tick: float = 1.0) -> Misreading | None
         A log with poses or wheel travel.
     metres_per_tick
         By which a table of wheel travel was read, m.
+    wheel_radius
+        By which turns of wheels were read, m; None where none was needed.
     """
     if log.wheels is not None:
-        return _misread_wheels(log, log.wheels, metres_per_tick)
+        return _misread_wheels(log, log.wheels, (metres_per_tick, wheel_radius))
     odometry = log.continuous_odometry
     if odometry is None:
         return None
     travel = np.hypot(*np.diff(odometry[:, :2], axis=0, prepend=odometry[:1, :2]).T)
+    speed = float(travel.sum()) / max(float(np.ptp(log.time)), 1e-9)
+    reach = float(log.robot.max_ranges.max())
+    if speed > _MOST_REACHES * reach:
+        remedy = " --position-unit and --time-unit convert" if log.header else ""
+        words = (
+            f"by odometry the robot drives at {speed:.3g} m/s on average, with ranges of up to "
+            f"{reach:g} m: is odometry in metres, and are the times in seconds?{remedy}"
+        )
+        return Misreading(words, is_certain=True)
     others = [odometry * signs + (0.0, 0.0, turn) for _, signs, turn in _READINGS_OF_POSES]
     better = _better([odometry, *others], log, _stretches(travel))
     if better is None:
@@ -238,7 +256,7 @@ def _remedy_of_beams(log: RecordedLog) -> str:
 
 
 def _misread_wheels(
-    log: RecordedLog, wheels: FloatArray, metres_per_tick: float
+    log: RecordedLog, wheels: FloatArray, sizes: tuple[float, float | None]
 ) -> Misreading | None:
     stretches = _stretches(np.abs(wheels).mean(axis=1))
     better = _better([each.path(log, wheels) for each in _READINGS], log, stretches)
@@ -263,11 +281,13 @@ def _misread_wheels(
             words = _of_axle(log, size * best)
         else:
             size *= 1.0 if abs(best - 1.0) < _NEARLY_SAME else best
-            words = _of_size(log, size, metres_per_tick)
+            words = _of_size(log, size, *sizes)
     return Misreading(f"the ranges fit the wheels far better if {words}", is_certain)
 
 
-def _of_size(log: RecordedLog, size: float, metres_per_tick: float) -> str:
+def _of_size(
+    log: RecordedLog, size: float, metres_per_tick: float, wheel_radius: float | None
+) -> str:
     """That the wheels travel ``size`` times as far, and what mends it."""
     fact = f"the wheels travel {size:.3g} times as far as the log was read"
     if not log.header:
@@ -278,6 +298,8 @@ def _of_size(log: RecordedLog, size: float, metres_per_tick: float) -> str:
             f"{fact}: --metres-per-tick {size * metres_per_tick:.3g} reads the table so, if unit "
             "and directions of the ranges are right"
         )
+    if wheel_radius is not None:
+        return f"{fact}: --wheel-radius {size * wheel_radius:.3g} reads the table so"
     return f"{fact}: are the columns of the travel or of the speed in another unit?"
 
 

@@ -104,10 +104,10 @@ def acts_on_belief(actor: Any, is_policy: bool | None = None) -> bool:
 
 
 def first_argument(act: Any) -> str | None:
-    """The name of the first argument of a function. None if there is no such function or its
-    arguments are unknown.
+    """The name of the first argument of a function. None if there is no such function, it cannot be
+    called with one argument, or its arguments are unknown.
     """
     try:
-        return next(iter(inspect.signature(act).parameters), None)
+        return next(iter(inspect.signature(act).bind(None).signature.parameters), None)
     except (TypeError, ValueError):
         return None

@@ -17,6 +17,7 @@ from limslam_agent.runs.actor_checks import acts_on_belief, first_argument
 from limslam_agent.runs.policies import policies_by_belief
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.messages import described
 
 DONE = "the actor says that it is done"
 """The reason of an actor that is done and does not say why."""
@@ -68,7 +69,7 @@ class Driver:
         actions = answer(observations)
         if not isinstance(actions, Mapping):
             raise ValueError(  # noqa: TRY004
-                f"several robots need a dict of actions by their names, not {actions!r}"
+                f"several robots need a dict of actions by their names, not {described(actions)}"
             )
         return actions
 

@@ -89,7 +89,7 @@ def made_by_file(
         # What is no text in UTF-8, or holds a byte 0, has no line that an error could name.
         except (SyntaxError, ValueError) as error:
             raise PolicyFileError(
-                f"{_place_in_file(error, policy) or path}: {type(error).__name__}: {error}"
+                f"{_place_in_file(error, policy) or path}: {_words(error)}"
             ) from error
         maker = _maker(module, path, name)
         made = [
@@ -127,7 +127,7 @@ def naming_lines_of(policy: str) -> Iterator[None]:
         place = _place_in_file(error, policy)
         if place is None or is_termination(error):
             raise
-        raise PolicyFileError(f"{place}: {type(error).__name__}: {error}") from error
+        raise PolicyFileError(f"{place}: {_words(error)}") from error
     finally:
         has_moved = Path.cwd() != folder
         os.chdir(folder)
@@ -142,6 +142,15 @@ def is_termination(error: BaseException) -> bool:
     128 and the number of the signal.
     """
     return isinstance(error, SystemExit) and isinstance(error.code, int) and error.code > 128
+
+
+def _words(error: BaseException) -> str:
+    """The kind of an error and what it says. An error of a policy may fail to say anything."""
+    try:
+        said = str(error)
+    except Exception:  # noqa: BLE001 (as above)
+        said = ""
+    return f"{type(error).__name__}: {said}".rstrip(": ")
 
 
 def _place_in_file(error: BaseException, policy: str) -> str | None:

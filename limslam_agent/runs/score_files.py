@@ -17,6 +17,10 @@ from limslam_env.geometry.se2 import compose, inverse, transform_points, turned
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World
 
+# Covariances in single precision have eigenvalues that are negative by this share.
+_ROUNDING = 1e-5
+# The estimate of a path is neither larger nor smaller than the path by this factor.
+_SIZE = 2.0
 _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 
 
@@ -32,6 +36,25 @@ class Pairs:
     estimated: FloatArray
     covariances: FloatArray | None
     unmatched: int
+
+    def doubts(self) -> list[str]:
+        """What the files may be that makes the scores say little: a sentence each."""
+        poses = len(self.true)
+        found = []
+        if self.unmatched > poses:
+            found.append(
+                f"only {poses} of {poses + self.unmatched} estimated poses have a true one at "
+                "their time: are all times in s, and of one clock?"
+            )
+        true, estimated = (
+            float(np.linalg.norm(part[:, :2].std(axis=0))) for part in (self.true, self.estimated)
+        )
+        if poses > 2 and not true / _SIZE <= estimated <= true * _SIZE:
+            found.append(
+                f"the estimated poses scatter by {estimated:.3g} m, and the true ones by "
+                f"{true:.3g} m: are both in m?"
+            )
+        return found
 
     def alignment(self, how: str) -> FloatArray:
         """The rigid motion (3,) that brings the frame of the estimate onto the frame of the truth,
@@ -104,7 +127,8 @@ def read_covariances(path: Path, trajectory: Path, time: FloatArray) -> FloatArr
     Raises
     ------
     TrajectoryError
-        If the file cannot be read, or does not have a covariance for each pose.
+        If the file cannot be read, does not have a covariance for each pose, or one is not positive
+        semi-definite.
     """
     found = _stored(path, trajectory) if path.suffix == ".npz" else _written(path)
     if len(found) != len(time):
@@ -113,6 +137,13 @@ def read_covariances(path: Path, trajectory: Path, time: FloatArray) -> FloatArr
         )
     if not np.isfinite(found).all():
         raise TrajectoryError(f"{path}: a covariance is not finite")
+    least, _, largest = np.linalg.eigvalsh(found).T
+    is_one = least >= -_ROUNDING * largest
+    if not is_one.all():
+        raise TrajectoryError(
+            f"{path}: the numbers at {time[np.argmin(is_one)]:.10g} s are no covariance, because "
+            "an eigenvalue is negative"
+        )
     return found
 
 

@@ -3,7 +3,7 @@ single ones.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -176,9 +176,11 @@ class NamedRobots:
         """The actions of all robots, in the order of the robots; a ValueError where there is not
         one for each.
         """
-        if set(actions) != set(self.possible_agents):
+        if not isinstance(actions, Mapping) or set(actions) != set(self.possible_agents):
             names = ", ".join(self.possible_agents)
-            raise ValueError(f"there must be one action for each of {names}, not {list(actions)}")
+            raise ValueError(
+                f"there must be one action for each of {names}, not {described(actions)}"
+            )
         return [actions[name] for name in self.possible_agents]
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from limslam_env.geometry.arrays import FloatArray
+from limslam_env.messages import described
 
 LARGEST_COORDINATE = 1e7
 """Largest coordinate of a pose, m, and largest heading, rad. The coordinates of map grids fit in,
@@ -64,19 +65,27 @@ def check_number(what: str, value: Any, low: float, high: float, unit: str = "")
     if not (is_number(value) and low <= value <= high):
         limits = f"{low:g} to {high:g} {unit}".rstrip()
         asked = f": is it in {unit}?" if unit and is_number(value) else ""
-        raise ValueError(f"{what} must be a number from {limits}, not {value}{asked}")
+        raise ValueError(f"{what} must be a number from {limits}, not {described(value)}{asked}")
 
 
-def check_count(what: str, value: Any, high: int, *, least: int = 1) -> None:
-    """Refuse what is not a whole number from ``least`` to ``high``. Raises a ValueError as
-    :func:`check_number` does.
-    """
+def index_of(value: Any) -> int | None:
+    """A whole number; None for anything else, truth values among it."""
     try:
-        is_allowed = not isinstance(value, bool) and least <= operator.index(value) <= high
+        return None if isinstance(value, bool) else operator.index(value)
     except TypeError:
-        is_allowed = False
-    if not is_allowed:
-        raise ValueError(f"{what} must be a whole number from {least} to {high}, not {value}")
+        return None
+
+
+def check_count(what: str, value: Any, high: int, *, least: int = 1) -> int:
+    """A whole number from ``least`` to ``high``. Raises a ValueError as :func:`check_number`
+    does.
+    """
+    number = index_of(value)
+    if number is None or not least <= number <= high:
+        raise ValueError(
+            f"{what} must be a whole number from {least} to {high}, not {described(value)}"
+        )
+    return number
 
 
 def check_poses(what: str, poses: FloatArray) -> None:

@@ -17,6 +17,9 @@ of them.
 
 MAX_CELLS = 4_000_000
 
+# Of the smallest discs: these take two gigabytes.
+_MOST_CELLS = 80_000_000
+
 COARSEST = 0.6
 """Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a
 wall.
@@ -165,9 +168,18 @@ def _dilated(mask: BoolArray) -> BoolArray:
 
 
 def cell_for(edges: FloatArray, radius: float) -> float:
-    """Side of a cell (m) that suits a disc of ``radius`` (m) and the extent of edges (k, 4)."""
+    """Side of a cell (m) that suits a disc of ``radius`` (m) and the extent of edges (k, 4). Raises
+    a ValueError if there would be too many.
+    """
     extent = np.ptp(edges.reshape(-1, 2), axis=0) + 4.0 * radius
-    return min(max(CELL, math.sqrt(float(np.prod(extent)) / MAX_CELLS)), COARSEST * radius)
+    area = float(np.prod(extent))
+    cell = min(max(CELL, math.sqrt(area / MAX_CELLS)), COARSEST * radius)
+    if area > _MOST_CELLS * cell**2:
+        raise ValueError(
+            f"a robot of {radius:g} m radius is too small for a world of {extent[0]:.0f} x "
+            f"{extent[1]:.0f} m"
+        )
+    return cell
 
 
 def free_space(

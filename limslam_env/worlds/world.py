@@ -198,8 +198,8 @@ class World:
         )
         if not is_pose.all():
             raise WorldError(
-                f"world {self.name!r}: {label(int(np.argmin(is_pose)))} must be three finite "
-                "numbers (x, y, theta)"
+                f"world {self.name!r}: {label(int(np.argmin(is_pose)))} must be (x, y, theta), "
+                f"three finite numbers of at most {LARGEST_COORDINATE:g} m or rad"
             )
         gaps, is_inside = self._gaps(starts[:, :2])
         collides = is_inside | (gaps < radius)

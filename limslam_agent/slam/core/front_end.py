@@ -187,12 +187,9 @@ def yaw_of(observation: Observation) -> float:
         If it is no single number, or infinite.
     """
     value = observation.get("yaw", math.nan)
-    try:
-        (yaw,) = np.asarray(value, dtype=float).ravel().tolist()
-    except (TypeError, ValueError):
-        yaw = math.inf
-    if math.isinf(yaw):
+    found = floats(value)
+    if found.size != 1 or math.isinf(yaw := found.item()):
         raise ValueError(
             f"yaw must be one number, the heading in rad, or NaN, not {described(value)}"
         )
-    return float(yaw)
+    return yaw

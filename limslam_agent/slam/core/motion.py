@@ -276,8 +276,15 @@ def motion_of(
 
 
 def unknown_of(observation: Observation) -> list[float]:
-    """By how much the travel of each wheel is less certain than encoders are, m^2."""
-    found: list[float] = floats(observation.get("wheel_variances", (0.0, 0.0))).tolist()
+    """By how much the travel of each wheel is less certain than encoders are, m^2. Raises a
+    ValueError if that is not two numbers, 0 or more.
+    """
+    if "wheel_variances" not in observation:
+        return [0.0, 0.0]
+    given = observation["wheel_variances"]
+    found: list[float] = floats(given).tolist()
+    if len(found) != 2 or not all(each >= 0.0 for each in found):
+        raise ValueError(f"wheel_variances must be 2 numbers, 0 or more, not {described(given)}")
     return found
 
 

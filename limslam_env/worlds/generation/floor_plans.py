@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_env.config import Setting, bounds_of, lies_within
-from limslam_env.geometry.numbers import is_number
+from limslam_env.geometry.numbers import check_number
+from limslam_env.messages import described
 from limslam_env.worlds.generation.furnishing import Polygon, Segment, corner_cut, furnish
 from limslam_env.worlds.generation.room_layout import (
     DOOR_MARGIN,
@@ -101,12 +102,8 @@ class FloorPlanConfig:
         ):
             _check_length(name, getattr(self, name))
         for name in ("corridor", "loops", "slanted"):
-            if not (is_number(getattr(self, name)) and 0.0 <= getattr(self, name) <= 1.0):
-                raise ValueError(f"{name} must lie between 0 and 1, not {getattr(self, name)}")
-        if not (is_number(self.obstacles) and 0.0 <= self.obstacles <= MOST_OBSTACLES):
-            raise ValueError(
-                f"obstacles must be 0 to {MOST_OBSTACLES:g} per 10 m^2, not {self.obstacles}"
-            )
+            check_number(name, getattr(self, name), 0.0, 1.0)
+        check_number("obstacles per 10 m^2", self.obstacles, 0.0, MOST_OBSTACLES)
         if bounds_of(self.obstacle_size)[0] < SMALLEST_OBSTACLE:
             raise ValueError(
                 f"obstacle_size must be {SMALLEST_OBSTACLE:g} m or more, not {self.obstacle_size}"
@@ -223,7 +220,8 @@ def _world(
 def _check_length(name: str, setting: Setting) -> None:
     if not lies_within(setting, 0.0, LONGEST_SIDE) or bounds_of(setting)[0] <= 0.0:
         raise ValueError(
-            f"{name} must be a length up to {LONGEST_SIDE:g} m, or a range of such, not {setting}"
+            f"{name} must be a length up to {LONGEST_SIDE:g} m, or a range of such, not "
+            f"{described(setting)}"
         )
 
 

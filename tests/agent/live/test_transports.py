@@ -1,6 +1,7 @@
 """Which sender of datagrams is the robot that is driven."""
 
 import random
+import re
 import socket
 import sys
 import threading
@@ -8,7 +9,7 @@ from contextlib import ExitStack, closing
 
 import pytest
 
-from limslam_agent.live.link import Link
+from limslam_agent.live.link import Link, NoRobotError
 from limslam_agent.live.protocol import Hello, Stop, Telemetry, encode
 from limslam_agent.live.transports import SILENT_AFTER, Seat, UdpTransport
 
@@ -228,3 +229,22 @@ def test_a_host_hears_only_the_address_at_which_it_listens():
         assert own.receive(0.0) == []
     with pytest.raises(ValueError, match="'::1' is not an IPv4 address"):
         UdpTransport(0, "::1")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (b"H,2,5,my robot,6,100000,100,500*2052\n", "'my robot' is not a name"),
+        (b"H,2,5,toy,6,100000,100,500\n", "it must end with *"),
+        (b"\xff\x00" * 400 + b"\n", "it has more than 512 bytes"),
+    ],
+)
+def test_what_is_wrong_with_a_line_is_said_while_no_robot_answers(line, words):
+    with (
+        closing(UdpTransport(0)) as transport,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+    ):
+        robot.sendto(line, ("127.0.0.1", transport.port))
+        with pytest.raises(NoRobotError, match=re.escape(words)) as refused:
+            Link(transport).first_hello(0.1)
+    assert "1 line not readable" in str(refused.value)

@@ -204,12 +204,37 @@ def test_a_sparse_heading_goes_on_where_a_log_begins_again(write):
     assert np.diff(known)[29] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_rows_of_a_clock_of_whole_seconds_are_evenly_apart(write):
+    rows = (f"14:03:{5 + row // 10:02d},0.01,0.01,1.{row}\n" for row in range(7, 405))
+    log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
+    assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert log.notes == ("9.7 rows on average have the same time: they are taken evenly apart",)
+
+
 def test_a_clock_of_the_day_goes_on_after_midnight(write):
     rows = [f"23:59:{58.0 + 0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
     rows += [f"00:00:0{0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
     log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
     assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
     assert log.notes == ()
+
+
+@pytest.mark.parametrize("place", [20, 40])
+def test_a_card_that_lost_its_power_leaves_zeros_that_are_skipped(write, place):
+    rows = [f"{0.1 * row:.1f},0.01,0.01,1.{row}\n" for row in range(40)]
+    rows.insert(place, "\0" * 100 + "\n")
+    log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
+    assert len(log) == 40
+    assert log.notes == ()
+
+
+@pytest.mark.parametrize("names", ["left,right", "x,y,theta"])
+def test_rows_of_two_robots_in_turn_are_refused(write, names):
+    row = "{0},{1},{1},0,1.0\n" if names[0] == "x" else "{0},{1},{1},1.0\n"
+    rows = (row.format(0.05 * line, 5 * (line % 2) + 0.01 * line) for line in range(40))
+    options = replace(ONE_BEAM, accumulated=True)
+    message = refusal(write(f"t,{names},r_0\n", *rows), table=options)
+    assert "as if the rows were those of 2 robots: write a log for each robot" in message
 
 
 @pytest.mark.parametrize("day", ["28.11.2026", "2026-11-28"])
@@ -411,7 +436,7 @@ def test_zones_report_the_distance_along_the_axis_of_their_sensor(write):
     ("wrong", "words"),
     [
         ({"metres_per_tick": 0.0}, "--metres-per-tick must be a number above 0, not 0"),
-        ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, not 'inch'"),
+        ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, in, not 'inch'"),
         ({"zone_axes": (90.0, math.inf)}, "--zone-axes must be directions in degrees"),
     ],
 )

@@ -57,7 +57,7 @@ def driven(settings, told):
         ranges = slam.robots[0].reported
         drive.scans.append(Scan(slam.pose, ranges, slam.increments[0], observation))
         if renewal.is_possible:
-            renewal.note()
+            renewal.note(observation)
             if renewal.renew_if_due():
                 renewed.append(step)
         poses.append(slam.pose)
@@ -91,6 +91,15 @@ def test_renewals_say_nothing_about_the_global_heading(long_drive):
     stds = np.sqrt(covariances[renewed, 2, 2])
     assert stds[-1] > 0.8 * stds[0]
     assert stds[-1] < math.radians(4.0)
+
+
+def test_a_stretch_with_a_step_by_odometry_is_not_renewed():
+    told, _ = rounds(1)
+    told = [dict(observation) for observation in told]
+    for observation in told[50::100]:
+        observation["odometry"] = [float(np.mean(observation.pop("wheels"))), 0.0, 0.0]
+    assert not driven(config(20.0), told)[-1]
+    assert driven(config(5.0), told)[-1]
 
 
 def test_a_stretch_that_contradicts_itself_is_not_used():

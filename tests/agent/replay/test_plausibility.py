@@ -57,6 +57,19 @@ def test_readings_that_jump_to_0_saw_nothing(tmp_path):
     np.testing.assert_array_equal(told.ranges, read_log(path).ranges)
 
 
+@pytest.mark.parametrize("number", ["0.3", "2.95"])
+def test_a_number_that_stands_in_place_of_nothing_seen_is_noticed(tmp_path, number):
+    path = written(tmp_path, "0.8", "2.9", count=600)
+    head, *rows = path.read_text(encoding="utf-8").splitlines()
+    for row, text in enumerate(rows):
+        left = number if row % 40 > 20 else f"{2.5 + 0.01 * (row % 40):.3f}"
+        rows[row] = text.replace("0.8,2.9", f"{0.8 + 0.001 * row:.3f},{left}")
+    path.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+    log = read_log(path)
+    assert f"of the readings are {number} m: they begin where" in log.readings_notes[0]
+    assert (log.ranges[:, 1] == 3.0).sum() == 285
+
+
 def test_of_a_beam_that_is_always_missing_nothing_is_known(tmp_path):
     path = written(tmp_path, "2.9", "-1")
     (warning,) = log_warnings(read_log(path))
@@ -128,7 +141,7 @@ def laps():
         ((1.0, 1.0, 1.0), 1, ""),
         ((1.0, 1.0, 1.0), -1, "with left and right exchanged"),
         ((1.0, 1.0, 180.0 / np.pi), 1, "is its heading in radians?"),
-        ((300.0, 300.0, 1.0), 1, "is odometry in metres?"),
+        ((300.0, 300.0, 1.0), 1, "is odometry in metres, and are the times in seconds?"),
         ((1e-3, 1e-3, 1.0), 1, "is odometry missing, or not in metres?"),
     ],
 )

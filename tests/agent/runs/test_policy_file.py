@@ -52,6 +52,17 @@ class Listener:
     def act(self, observation):
         return 0.0, 0.0
 
+class Two(Ahead):
+    def act(self, belief, info):
+        return 0.0, 0.0
+
+class Mute(Ahead):
+    class Error(Exception):
+        def __str__(self):
+            raise self
+    def act(self, belief):
+        raise self.Error
+
 class Half:
     def act(self, belief):
         return 0.0, 0.0
@@ -177,6 +188,8 @@ def test_what_would_end_the_program_is_refused_in_one_line(name, folder):
             "mine.py: Needs needs the argument speed: a policy is made without arguments",
         ),
         ("mine.py:Divides", "mine.py, line 24, in act: ZeroDivisionError: division by zero"),
+        ("mine.py:Two", "mine.py: Two makes no policy: a policy has act(belief)"),
+        ("mine.py:Mute", "mine.py, line 51, in act: Error"),
         ("mine.py:Says", "Says: act must return two finite numbers"),
         ("wrong.py:f", "wrong.py, line 2: SyntaxError"),
     ],

@@ -184,6 +184,35 @@ class TestScores:
         assert "is it in the axes of a camera?" in said["camera"]
         assert all(text.count("\n") <= 1 for text in said.values())
 
+    def test_the_order_of_the_lines_says_nothing(self, tmp_path):
+        true, estimated = drive()
+        time = np.arange(len(true)) * 0.1
+        rows = np.column_stack((time, np.tile([0.01, 0, 0, 0.01, 0, 0.01], (len(true), 1))))
+        write_poses(tmp_path / "true.tum", time, true)
+        found = []
+        for name, order in (("in", slice(None)), ("reversed", slice(None, None, -1))):
+            write_poses(tmp_path / f"{name}.tum", time[order], estimated[order])
+            np.savetxt(tmp_path / f"{name}.txt", rows[order])
+            files = "--est", tmp_path / f"{name}.tum", "--covariances", tmp_path / f"{name}.txt"
+            found.append(scored(tmp_path, "--true", tmp_path / "true.tum", *files))
+        assert found[0] == found[1]
+
+    @pytest.mark.parametrize(
+        ("scale", "of_time", "words"),
+        [
+            (1000.0, 1.0, "the estimated poses scatter by"),
+            (1.0, 1000.0, "only 1 of 50 estimated poses have a true one at their time"),
+        ],
+    )
+    def test_other_units_get_a_word(self, tmp_path, scale, of_time, words):
+        true, estimated = drive(count=50)
+        time = 0.1 * np.arange(50.0)
+        write_poses(tmp_path / "true.tum", time, true)
+        write_poses(tmp_path / "est.tum", of_time * time, estimated * [scale, scale, 1.0])
+        done = limslam("score", "--true", "true.tum", "--est", "est.tum", cwd=tmp_path)
+        assert words in done.stderr
+        assert done.stderr.count("\n") == 1
+
 
 class TestRefusals:
     @pytest.mark.parametrize(
@@ -207,6 +236,13 @@ class TestRefusals:
                 ("--est", "est.tum", "--true", "true.tum", "--covariances", "bad.txt"),
                 "line 1 is not t xx",
             ),
+            (
+                ("--est", "est.tum", "--true", "true.tum", "--covariances", "none.txt"),
+                "the numbers at 3 s are no covariance",
+            ),
+            (("--est", "far.tum", "--true", "true.tum"), "at most 1e+07 m or rad, not 1e+300"),
+            (("--map", "far.json", "--world", "env1"), "not 1e+300"),
+            (("--map", "long.json", "--world", "env1"), "at most 20000 m are read"),
         ],
     )
     def test_one_line_says_why(self, tmp_path, monkeypatch, options, reason):
@@ -219,4 +255,9 @@ class TestRefusals:
         (tmp_path / "bad.txt").write_text("0 1 0 0\n")
         (tmp_path / "zero.tum").write_text("# a comment\n0 0 0 0 0 0 0 0\n")
         (tmp_path / "nan.tum").write_text("0 0 0 0 0 0 0 nan\n")
+        (tmp_path / "far.tum").write_text("0 1e300 0 0 0 0 0 1\n")
+        lines = [f"{t} {-1 if t == 3 else 1} 0 0 1 0 1" for t in range(5)]
+        (tmp_path / "none.txt").write_text("\n".join(lines))
+        for name, end in (("far", 1e300), ("long", 1e6)):
+            (tmp_path / f"{name}.json").write_text(json.dumps({"segments": [[0, 0, end, 0]]}))
         assert reason in refused("score", *options)
