@@ -19,7 +19,7 @@ travel or poses (`table_motion`), and those with the ranges a log (here).
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Role, column_of
-from limslam_agent.logs.labelled_lines import Line, unlabelled, unpacked
+from limslam_agent.logs.labelled_lines import unlabelled, unpacked
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -83,16 +83,11 @@ _WORDS = {
 }
 
 
-def _table_lines(path: FilePath) -> Iterator[Line]:
-    """The numbered lines of a text file, plain or gzip, as those of a table."""
-    return unpacked(unlabelled(numbered_lines(path)))
-
-
 def is_csv(path: FilePath) -> bool:
     """Whether a text file, plain or gzip, is a table: it has such a header, or rows of numbers.
     Raises a LogError if the file cannot be read or is not a text file.
     """
-    return has_rows_of_numbers(_table_lines(path))
+    return has_rows_of_numbers(unlabelled(numbered_lines(path)))
 
 
 def read_csv(
@@ -114,7 +109,8 @@ def read_csv(
     robot = options.robot
     with naming(path):
         beams = [] if robot is None else np.degrees(robot.beam_angles).tolist()
-        header, lines = split_header(_table_lines(path), options.columns, beams)
+        lines = unpacked(unlabelled(numbered_lines(path)))
+        header, lines = split_header(lines, options.columns, beams)
         header, lines = with_units_of_cells(header, lines)
         if options.rate is not None:
             header = replace(header, columns=(column_of("t"), *header.columns))

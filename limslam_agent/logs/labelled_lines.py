@@ -40,7 +40,7 @@ def unlabelled(lines: Iterable[Line]) -> Iterator[Line]:
     first: dict[str, str] = {}
     number = 0
     for number, line in lines:
-        records = _records(line)
+        records = _records(line) if b":" in line or b"=" in line else []
         if not records:
             yield number, line
         for record in records:
@@ -96,8 +96,6 @@ def _row(fields: Iterable[str]) -> bytes:
 
 def _records(line: bytes) -> list[dict[str, str]]:
     """The values of a line by their names, for each record in it; none for another line."""
-    if not (b":" in line or b"=" in line):
-        return []
     if monitor := MONITOR_TIME.match(line):
         clock = {"monitor_time": monitor[1].decode()}
         return [record | clock for record in _records(line[monitor.end() :])]
