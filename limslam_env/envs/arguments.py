@@ -69,12 +69,6 @@ def given(name: str, value: Any, kind: type[Kind]) -> Kind:
     )
 
 
-def check_robots(num_robots: Any) -> None:
-    """Refuse a number of robots that is not a whole number from 1 to 8, with a ValueError."""
-    if index_of(num_robots) not in range(1, MAX_ROBOTS + 1):
-        raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
-
-
 def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
     """The options of a reset; a ValueError where they are no dictionary, or one of them is not
     ``known``.

@@ -349,11 +349,11 @@ def test_impossible_options_of_a_reset(env, options):
         env.reset(options=options)
 
 
-@pytest.mark.parametrize("count", [2.5, "2", True])
+@pytest.mark.parametrize("count", [2.5, "2", True, 0, 9, -1])
 def test_an_impossible_number_of_robots(count):
-    with pytest.raises(ValueError, match="1 to 8 robots"):
+    with pytest.raises(ValueError, match="robots must be a whole number from 1 to 8"):
         LimSlamParallelEnv("env1", num_robots=count)
-    with pytest.raises(ValueError, match="1 to 8 robots"):
+    with pytest.raises(ValueError, match="robots must be a whole number from 1 to 8"):
         limslam_env.parallel_vector_env(world="env1", num_robots=count, num_envs=1)
 
 
