@@ -45,7 +45,7 @@ def read_map_file(path: Path) -> tuple[dict[str, Any], FloatArray]:
         walls = np.array(listed, dtype=float).reshape(-1, 4) if isinstance(listed, list) else None
     except (TypeError, ValueError, OverflowError):
         walls = None
-    if walls is None or len(walls) > MOST_WALLS or not np.isfinite(walls).all():
+    if walls is None or len(walls) > MOST_WALLS:
         raise ValueError(f"{path}: its segments are not rows of four numbers")
     check_poses(f"{path}: the coordinates of its walls", walls)
     together = float(lengths(walls).sum())

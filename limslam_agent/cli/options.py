@@ -229,7 +229,8 @@ class ReplayOptions(Bounded):
         ),
     ] = None
     wheel_radius: Annotated[
-        float | None, Help(_TABLE, "Radius of the wheels, m, of speeds in rad/s or rpm.", "none")
+        float | None,
+        Help(_TABLE, "Radius of the wheels, m, of turns in rad, rad/s or rpm.", "none"),
     ] = None
     zone_axes: Annotated[
         str | None,

@@ -37,7 +37,7 @@ class PendingReadingsConfig(Bounded):
     min_turn: NonNegative = math.radians(1.0)
     beams: Count = 8  # At most this many beams of a side are used in a step
     # Number of new readings of a side at which lines are extracted from its pending readings
-    batch: Count = 12
+    batch: Annotated[int, Bounds(1, 1000, is_whole=True)] = 12
     max_age: NonNegative = (
         1.5  # A reading that has been pending for this long, m driven, is discarded
     )

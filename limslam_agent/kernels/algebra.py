@@ -2,8 +2,10 @@
 
 import math
 
+import numpy as np
+
 from limslam_agent.kernels.compilation import compiled
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, IntArray
 
 
 @compiled
@@ -100,6 +102,30 @@ def leave_beside(values: FloatArray, first: int, last: int, basis: FloatArray, s
             b += values[i, column] * basis[i, 1]
         for i in range(size):
             values[i, column] -= a * basis[i, 0] + b * basis[i, 1]
+
+
+@compiled
+def order_of(values: FloatArray) -> IntArray:
+    """Indices (n,) that sort numbers, of which equal ones stay in their order (Shell's sort)."""
+    count = len(values)
+    order = np.empty(count, dtype=np.int64)
+    for i in range(count):
+        order[i] = i
+    gap = count // 2
+    while gap:
+        for i in range(gap, count):
+            own = order[i]
+            to = i
+            while to >= gap:
+                other = order[to - gap]
+                step = values[own] - values[other]
+                if step > 0.0 or (step == 0.0 and own > other):
+                    break
+                order[to] = other
+                to -= gap
+            order[to] = own
+        gap //= 2
+    return order
 
 
 @compiled

@@ -58,9 +58,14 @@ def touched_cells(
     most = len(BODY)
     # A reading at the minimum says that something is near, or that the sensor is dirty, but not
     # where.
-    used = np.flatnonzero(measured & (ranges > beams[:, TOO_NEAR]))
-    for beam in used:
-        most += math.floor(float(ranges[beam]) / spacing) + 1
+    used = np.empty(len(ranges), dtype=np.int64)
+    count = 0
+    for i in range(len(ranges)):
+        if measured[i] and ranges[i] > beams[i, TOO_NEAR]:
+            used[count] = i
+            count += 1
+            most += math.floor(float(ranges[i]) / spacing) + 1
+    used = used[:count]
     cells = np.empty((most, 3), dtype=np.int64)
     size = 0
     samples = np.empty((2, most))
@@ -148,8 +153,11 @@ def update_grid(
     beams, radius = body
     cells = touched_cells(pose, ranges, measured, beams, radius, grid.size)
     for axis in range(2):
-        touched[0, axis] = cells[:, 1 - axis].min()
-        touched[1, axis] = cells[:, 1 - axis].max() + 1
+        touched[0, axis] = touched[1, axis] = cells[0, 1 - axis]
+        for i in range(len(cells)):
+            touched[0, axis] = min(touched[0, axis], cells[i, 1 - axis])
+            touched[1, axis] = max(touched[1, axis], cells[i, 1 - axis])
+        touched[1, axis] += 1
     for axis in range(2):
         end = grid.corner[axis] + grid.values.shape[1 - axis]
         if touched[0, axis] < grid.corner[axis] or touched[1, axis] > end:

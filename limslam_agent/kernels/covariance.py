@@ -156,7 +156,7 @@ def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
     return block
 
 
-@entry
+@compiled
 def dense_rows(ekf: Filter, columns: IntArray) -> FloatArray:
     """Rows (k, s) of the covariance of s states."""
     size = size_of(ekf.counts)
@@ -200,6 +200,16 @@ def error_transport(ekf: Filter) -> FloatArray:
         moved[row, 1] = sin
         moved[row, 2] = cos * (x[1] - ekf.anchors[index, 1]) - sin * (x[0] - ekf.anchors[index, 0])
         moved[row + 1, 2] = 1.0
+    return moved
+
+
+@compiled
+def moved_since(ekf: Filter, before: FloatArray) -> FloatArray:
+    """By what the transport of the error exceeds the one ``before`` (s, 3)."""
+    moved = error_transport(ekf)
+    for j in range(len(moved)):
+        for k in range(POSE):
+            moved[j, k] -= before[j, k]
     return moved
 
 
@@ -299,11 +309,10 @@ def correct_state(ekf: Filter, update: Update) -> FloatArray:
     before = error_transport(ekf)
     for j in range(size):
         ekf.x[j] += update.change[j]
-    after = error_transport(ekf)
+    after = moved_since(ekf, before)
     both = np.empty((size, POSE))
     for j in range(size):
         for k in range(POSE):
-            after[j, k] -= before[j, k]
             both[j, k] = update.moved[j, k] + after[j, k]
     for r in range(rank):
         for j in range(size):

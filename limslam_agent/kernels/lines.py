@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.algebra import order_of, wrapped
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_agent.kernels.tables import LineRules
 from limslam_env.geometry import FloatArray, IntArray
@@ -26,6 +26,17 @@ def num_angles(step: float) -> int:
     """Number of OpenCV's bins of theta in half a turn."""
     number = math.floor(math.pi / step) + 1
     return number - 1 if number > 1 and abs(math.pi - (number - 1) * step) < 0.5 * step else number
+
+
+@compiled
+def mean_of(points: FloatArray) -> tuple[float, float]:
+    """The centre of points (n, 2)."""
+    x = 0.0
+    y = 0.0
+    for i in range(len(points)):
+        x += points[i, 0]
+        y += points[i, 1]
+    return x / len(points), y / len(points)
 
 
 @compiled
@@ -53,8 +64,11 @@ def hough_votes(points: FloatArray, rules: LineRules) -> FloatArray:
     found = np.empty(len(points) * angles // max(min_votes, 1), dtype=np.int64)
     size = 0
     angle = single(0.0)
-    xs = points[:, 0].astype(single)
-    ys = points[:, 1].astype(single)
+    xs = np.empty(len(points), dtype=single)
+    ys = np.empty(len(points), dtype=single)
+    for i in range(len(points)):
+        xs[i] = points[i, 0]
+        ys[i] = points[i, 1]
     places = np.empty(len(points), dtype=np.int32)
     for n in range(angles):
         cos = single(math.cos(float(angle)) * float(inverse))
@@ -83,12 +97,20 @@ def hough_votes(points: FloatArray, rules: LineRules) -> FloatArray:
 @compiled
 def peaks(counts: np.ndarray, wide: int, found: IntArray) -> IntArray:
     """Those bins (k,) of ``found`` that have more votes than their neighbours, best first."""
-    votes = counts[found]
-    is_peak = (votes > counts[found - 1]) & (votes >= counts[found + 1])
-    is_peak &= (votes > counts[found - wide]) & (votes >= counts[found + wide])
-    # Most votes first; of equal votes, the first bin.
-    keys = found[is_peak] - votes[is_peak].astype(np.float64) * 2.0**32
-    return found[is_peak][np.argsort(keys, kind="mergesort")[:MAX_CANDIDATES]]
+    keys = np.empty(len(found))
+    number = 0
+    for place in found:
+        votes = counts[place]
+        is_peak = votes > counts[place - 1] and votes >= counts[place + 1]
+        if is_peak and votes > counts[place - wide] and votes >= counts[place + wide]:
+            # Most votes first; of equal votes, the first bin.
+            keys[number] = place - votes * 2.0**32
+            found[number] = place
+            number += 1
+    order = order_of(keys[:number])[:MAX_CANDIDATES]
+    for i in range(len(order)):
+        order[i] = found[order[i]]
+    return order
 
 
 @entry
@@ -132,17 +154,22 @@ def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[f
 
 
 @compiled
-def near_line(
-    points: FloatArray, free: np.ndarray, r: float, theta: float, most: float
-) -> IntArray:
-    """Indices (n,) of the free points within ``most``, m, of a line."""
-    off = points[:, 0] * math.cos(theta) + points[:, 1] * math.sin(theta) - r
-    return np.flatnonzero(free & (np.abs(off) <= most))
+def near_line(points: FloatArray, owner: IntArray, r: float, theta: float, most: float) -> IntArray:
+    """Indices (n,) of the points without an owner within ``most``, m, of a line."""
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    members = np.empty(len(points), dtype=np.int64)
+    number = 0
+    for i in range(len(points)):
+        if owner[i] < 0 and abs(points[i, 0] * cos + points[i, 1] * sin - r) <= most:
+            members[number] = i
+            number += 1
+    return members[:number]
 
 
 @compiled
 def refined(
-    points: FloatArray, free: np.ndarray, r: float, theta: float, rules: LineRules
+    points: FloatArray, owner: IntArray, r: float, theta: float, rules: LineRules
 ) -> tuple[IntArray, FloatArray]:
     """Indices (n,) of a candidate line's points after two refinements, and their positions along
     it, m, sorted.
@@ -150,15 +177,23 @@ def refined(
     Points belong to it within a bin of it, and then within ``near_line``.
     """
     ends = np.empty((2, 2))
-    for tolerance in (rules.r_step, rules.near_line):
-        members = near_line(points, free, r, theta, tolerance)
+    members = near_line(points, owner, r, theta, rules.r_step)
+    for _ in range(2):
         if len(members) < rules.min_votes:
             return members[:0], np.empty(0)
         r, theta = fit_line(points, members, ends)
-    members = near_line(points, free, r, theta, rules.near_line)
-    along = points[members, 1] * math.cos(theta) - points[members, 0] * math.sin(theta)
-    order = np.argsort(along, kind="mergesort")
-    return members[order], along[order]
+        members = near_line(points, owner, r, theta, rules.near_line)
+    cos = math.cos(theta)
+    sin = math.sin(theta)
+    along = np.empty(len(members))
+    for i in range(len(members)):
+        along[i] = points[members[i], 1] * cos - points[members[i], 0] * sin
+    order = order_of(along)
+    ordered = np.empty(len(members))
+    for i in range(len(members)):
+        ordered[i] = along[order[i]]
+        order[i] = members[order[i]]
+    return order, ordered
 
 
 @entry
@@ -186,17 +221,17 @@ def extract_lines(points: FloatArray, rules: LineRules) -> tuple[IntArray, Float
     if total < votes:
         return owner, lines[:0], ends[:0]
     # Votes are counted about the points' centre, where r and theta are nearly independent.
-    middle_x = points[:, 0].sum() / total
-    middle_y = points[:, 1].sum() / total
-    about = points.copy()
-    about[:, 0] -= middle_x
-    about[:, 1] -= middle_y
+    middle_x, middle_y = mean_of(points)
+    about = np.empty((total, 2))
+    for i in range(total):
+        about[i, 0] = points[i, 0] - middle_x
+        about[i, 1] = points[i, 1] - middle_y
     candidates = hough_votes(about, rules)
-    free = np.ones(total, dtype=np.bool_)
+    left = total
     for number in range(len(candidates)):
         theta = candidates[number, 1]
         r = candidates[number, 0] + middle_x * math.cos(theta) + middle_y * math.sin(theta)
-        members, along = refined(points, free, r, theta, rules)
+        members, along = refined(points, owner, r, theta, rules)
         first = 0
         before = size
         for i in range(1, len(members) + 1):
@@ -212,9 +247,10 @@ def extract_lines(points: FloatArray, rules: LineRules) -> tuple[IntArray, Float
             if math.sqrt(x * x + y * y) >= rules.least:
                 lines[size, 0] = r_part
                 lines[size, 1] = theta_part
-                owner[part] = size
-                free[part] = False
+                for place in part:
+                    owner[place] = size
+                left -= len(part)
                 size += 1
-        if (rules.only_best and size > before) or free.sum() < votes:
+        if (rules.only_best and size > before) or left < votes:
             break
     return owner, lines[:size], ends[:size]

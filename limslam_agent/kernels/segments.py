@@ -16,6 +16,7 @@ from limslam_agent.kernels.algebra import (
     dot,
     factorise,
     leave_beside,
+    order_of,
     orthonormalise,
     quantile,
     whiten,
@@ -46,7 +47,7 @@ from limslam_agent.kernels.tables import (
     Filter,
     Readings,
 )
-from limslam_agent.kernels.updates import covariance_of, involved, select
+from limslam_agent.kernels.updates import covariance_of, involved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -85,44 +86,50 @@ def fit_segment(
     ekf: Filter,
     readings: Readings,
     points: FloatArray,
+    own: IntArray,
     block: FloatArray,
     begins: IntArray,
     r: float,
     theta: float,
 ) -> Fit:
-    """Fit a line to readings (n,) that end at points (n, 2), m; the fit begins at a line (r,
-    theta).
+    """Fit a line to the own ones (n,) of all readings, which end at points, m; the fit begins at a
+    line (r, theta).
 
     ``block`` is the covariance of the clones that they were taken from, in which the clone of each
-    begins at ``begins`` (n,). If too few readings do not graze the line, there are none in the
-    result.
+    begins at ``begins``. If too few readings do not graze the line, there are none in the result.
     """
     start = clones_from(ekf.counts)
     x = ekf.x
     places = readings.places
     rows = readings.rows
-    every = np.arange(len(places))
+    size = len(own)
     d = 0.0
-    foot = foot_of(points, r, theta)
-    expected = np.empty((len(places), 7))
-    predict_ranges(x, start, places, rows, every, line_about(d, theta, foot), expected)
-    clear = np.flatnonzero(np.abs(expected[:, 6]) > GRAZING)
+    foot = foot_of(points, own, r, theta)
+    expected = np.empty((size, 7))
+    predict_ranges(x, start, places, rows, own, line_about(d, theta, foot), expected)
+    clear = keep_clear(expected)
     count = len(clear)
     left = np.empty(count)
     values = np.empty((count, 3))
     basis = np.empty((count, 2))
-    along = np.empty(len(places))
+    along = np.empty(size)
     if count < FEWEST - 1:
         return Fit(clear[:0], along, left, left, left, basis, basis, theta, foot[0], foot[1])
-    expected = expected[clear]
-    factor = covariance_of(block, begins[clear], expected, readings.variances[clear])
+    chosen = np.empty(count, dtype=np.int64)
+    from_clones = np.empty(count, dtype=np.int64)
+    variances = np.empty(count)
+    for i in range(count):
+        chosen[i] = own[clear[i]]
+        from_clones[i] = begins[chosen[i]]
+        variances[i] = readings.variances[chosen[i]]
+    factor = covariance_of(block, from_clones, expected, variances)
     factorise(factor, count)
     for iteration in range(2):
         if iteration:
             line = line_about(d, theta, foot)
-            predict_ranges(x, start, places, rows, clear, line, expected)
+            predict_ranges(x, start, places, rows, chosen, line, expected)
         for i in range(count):
-            values[i, 0] = rows[clear[i], 3] - expected[i, 0]
+            values[i, 0] = rows[chosen[i], 3] - expected[i, 0]
             values[i, 1] = expected[i, 4]
             values[i, 2] = expected[i, 5]
         whiten(factor, values, count, 3)
@@ -130,40 +137,68 @@ def fit_segment(
         d = d + step
         theta = theta + turn
     leave_beside(values, 0, 1, basis, count)
-    for i in range(count):
-        left[i] = values[i, 0]
     # The error of a slanted beam's range moves its end point along the wall. Positions from end
     # points would therefore show a bend at the end of every noisy wall; positions where the beams
     # meet the line do not contain that error.
-    reaches = rows[:, 3].copy()
-    reaches[clear] = expected[:, 0]
     cos = math.cos(theta)
     sin = math.sin(theta)
-    for i in range(len(places)):
-        at = start + POSE * places[i]
+    for i in range(size):
+        along[i] = rows[own[i], 3]
+    for i in range(count):
+        along[clear[i]] = expected[i, 0]
+    for i in range(size):
+        at = start + POSE * places[own[i]]
         pose = (x[at], x[at + 1], x[at + 2])
-        hit_x, hit_y = end_on_wall(pose, rows[i], (cos, sin), reaches[i])
+        hit_x, hit_y = end_on_wall(pose, rows[own[i]], (cos, sin), along[i])
         along[i] = (hit_x - foot[0]) * -sin + (hit_y - foot[1]) * cos
-    # The kernels sort in one way, since each way is compiled on its own.
-    clear_along = along[clear]
-    ordered = clear_along[np.argsort(clear_along, kind="mergesort")]
-    cosines = expected[:, 6].copy()
+    cosines = np.empty(count)
+    clear_along = np.empty(count)
+    for i in range(count):
+        left[i] = values[i, 0]
+        cosines[i] = expected[i, 6]
+        clear_along[i] = along[clear[i]]
+    ordered = sorted_copy(clear_along)
     return Fit(clear, along, ordered, left, cosines, factor, basis, theta, foot[0], foot[1])
+
+
+@compiled
+def sorted_copy(values: FloatArray) -> FloatArray:
+    """Numbers (n,) in order."""
+    order = order_of(values)
+    ordered = np.empty(len(values))
+    for i in range(len(values)):
+        ordered[i] = values[order[i]]
+    return ordered
+
+
+@compiled
+def keep_clear(expected: FloatArray) -> IntArray:
+    """Move those rows of what ``predict_ranges`` has filled (n, 7) to the front that do not graze
+    their line, and return which they were (k,).
+    """
+    clear = np.empty(len(expected), dtype=np.int64)
+    count = 0
+    for i in range(len(expected)):
+        if abs(expected[i, 6]) > GRAZING:
+            for k in range(7):
+                expected[count, k] = expected[i, k]
+            clear[count] = i
+            count += 1
+    return clear[:count]
 
 
 @compiled
 def describe(fit: Fit, std: float, segment: FloatArray) -> None:
     """Fill a segment (5,) from a fit; ``std`` is the standard deviation of a short range, m."""
-    own = fit.along[fit.clear]
     middle = 0.0
     spread = 0.0
-    for i in range(len(own)):
-        middle += own[i]
-    middle /= len(own)
-    for i in range(len(own)):
-        spread += (own[i] - middle) * (own[i] - middle)
+    for i in fit.clear:
+        middle += fit.along[i]
+    middle /= len(fit.clear)
+    for i in fit.clear:
+        spread += (fit.along[i] - middle) * (fit.along[i] - middle)
     # The length leaves out the outermost reading at either end.
-    ends = fit.along[np.argsort(fit.along, kind="mergesort")]
+    ends = sorted_copy(fit.along)
     segment[THETA] = fit.theta
     segment[MIDDLE_X] = fit.foot_x
     segment[MIDDLE_Y] = fit.foot_y
@@ -172,14 +207,14 @@ def describe(fit: Fit, std: float, segment: FloatArray) -> None:
 
 
 @compiled
-def foot_of(points: FloatArray, r: float, theta: float) -> tuple[float, float]:
-    """Projection, m, of the points' mean on a line."""
+def foot_of(points: FloatArray, own: IntArray, r: float, theta: float) -> tuple[float, float]:
+    """Projection, m, of the mean of some points on a line."""
     cos = math.cos(theta)
     sin = math.sin(theta)
     along = 0.0
-    for i in range(len(points)):
+    for i in own:
         along += -sin * points[i, 0] + cos * points[i, 1]
-    along /= len(points)
+    along /= len(own)
     return r * cos - along * sin, r * sin + along * cos
 
 
@@ -267,22 +302,43 @@ def firm_readings(fit: Fit) -> BoolArray:
     it, and belong to another object.
     """
     count = len(fit.clear)
-    own = fit.along[fit.clear]
     shape = np.empty((count, 1))
     is_firm = np.ones(len(fit.along), dtype=np.bool_)
     for end in (fit.ordered[0], fit.ordered[count - 1]):
-        is_in = np.abs(own - end) < END_ZONE
+        inside = 0
         for i in range(count):
-            shape[i, 0] = (1.0 if is_in[i] else 0.0) / fit.cosines[i]
+            is_in = abs(fit.along[fit.clear[i]] - end) < END_ZONE
+            shape[i, 0] = (1.0 if is_in else 0.0) / fit.cosines[i]
+            inside += is_in
         whiten(fit.factor, shape, count, 1)
         leave_beside(shape, 0, 1, fit.basis, count)
         square = dot(shape, 0, 0, count)
         product = 0.0
         for i in range(count):
             product += fit.left[i] * shape[i, 0]
-        if not is_in.all() and square > LEAST_DIVISOR and product * product > END_GATE * square:
-            is_firm[fit.clear[is_in]] = False
+        if inside < count and square > LEAST_DIVISOR and product * product > END_GATE * square:
+            for i in fit.clear:
+                if abs(fit.along[i] - end) < END_ZONE:
+                    is_firm[i] = False
     return is_firm
+
+
+@compiled
+def fill_part(
+    own: IntArray, along: FloatArray, is_firm: BoolArray, bend: float, side: int, part: IntArray
+) -> IntArray:
+    """Fill a part of a line, and return it: the readings (n,) on one side of a bend, or the firm
+    ones if the bend is NaN.
+    """
+    size = 0
+    for i in range(len(own)):
+        is_in = is_firm[i]
+        if not math.isnan(bend):
+            is_in = along[i] < bend - AROUND_KINK if side else along[i] > bend + AROUND_KINK
+        if is_in:
+            part[size] = own[i]
+            size += 1
+    return part[:size]
 
 
 @entry
@@ -320,29 +376,45 @@ def cut_at_bends(
     residuals = np.full(size, math.inf)
     ends = np.empty((2, 2))
     count = 0
-    waiting = [(np.arange(size), line[0], line[1], DEEPEST)]
-    while waiting:
-        own, r, theta, depth = waiting.pop()
+    # Parts that wait, of which each has at most two: their readings, how many, how often they were
+    # cut, and the line (r, theta) that their fit begins at
+    members = np.empty((DEEPEST + 2, size), dtype=np.int64)
+    waiting = np.empty((DEEPEST + 2, 2), dtype=np.int64)
+    lines = np.empty((DEEPEST + 2, 2))
+    for i in range(size):
+        members[0, i] = i
+    waiting[0, 0] = size
+    waiting[0, 1] = 0
+    lines[0, 0] = line[0]
+    lines[0, 1] = line[1]
+    number = 1
+    while number:
+        number -= 1
+        own = members[number, : waiting[number, 0]].copy()
+        depth = waiting[number, 1]
         if len(own) < FEWEST:
             continue
-        fit = fit_segment(ekf, select(readings, own), points[own], block, begins[own], r, theta)
+        r = lines[number, 0]
+        theta = lines[number, 1]
+        fit = fit_segment(ekf, readings, points, own, block, begins, r, theta)
         if not len(fit.clear):
             continue
         bend = bend_of(fit)
         is_firm = firm_readings(fit)
-        if depth and not (math.isnan(bend) and is_firm.all()):
-            is_kept = (is_firm, is_firm)
-            if not math.isnan(bend):
-                is_kept = (fit.along > bend + AROUND_KINK, fit.along < bend - AROUND_KINK)
+        if depth < DEEPEST and not (math.isnan(bend) and is_firm.all()):
             # The last part is the first one that is processed.
-            for part in range(1 if math.isnan(bend) else 2):
-                rest = own[is_kept[part]]
+            for side in range(1 if math.isnan(bend) else 2):
+                rest = fill_part(own, fit.along, is_firm, bend, side, members[number])
                 if len(rest) >= FEWEST:
-                    r, theta = fit_line(points, rest, ends)
-                    waiting.append((rest, r, theta, depth - 1))
+                    waiting[number, 0] = len(rest)
+                    waiting[number, 1] = depth + 1
+                    lines[number, 0], lines[number, 1] = fit_line(points, rest, ends)
+                    number += 1
             continue
         describe(fit, std, segments[count])
-        owner[own] = count
-        residuals[own[fit.clear]] = fit.left
+        for i in range(len(own)):
+            owner[own[i]] = count
+        for i in range(len(fit.clear)):
+            residuals[own[fit.clear[i]]] = fit.left[i]
         count += 1
     return segments[:count], owner, residuals

@@ -19,6 +19,7 @@ from limslam_agent.kernels.covariance import (
     dense_rows,
     error_transport,
     line_at,
+    moved_since,
     size_of,
     transport_rows,
 )
@@ -58,7 +59,13 @@ def expected_of(ekf: Filter, readings: Readings, index: int) -> FloatArray:
 def clear_readings(ekf: Filter, readings: Readings, index: int) -> Readings:
     """The readings that meet a line ahead of the beam and do not graze it."""
     out = expected_of(ekf, readings, index)
-    return select(readings, np.flatnonzero((np.abs(out[:, 6]) > GRAZING) & (out[:, 0] > 0.0)))
+    clear = np.empty(len(out), dtype=np.int64)
+    count = 0
+    for i in range(len(out)):
+        if abs(out[i, 6]) > GRAZING and out[i, 0] > 0.0:
+            clear[count] = i
+            count += 1
+    return select(readings, clear[:count])
 
 
 @compiled
@@ -196,8 +203,9 @@ def gained(
     HP = np.empty((count, rows.shape[1]))
     S = np.empty((count, count))
     line = len(rows) - 2
-    bent = 0.5 * bend * H[:, 5] ** 2 / H[:, 4]
+    bent = np.empty(count)
     for i in range(count):
+        bent[i] = 0.5 * bend * H[i, 5] ** 2 / H[i, 4]
         at = begins[i]
         a = H[i, 1]
         b = H[i, 2]
@@ -247,7 +255,9 @@ def update_by_readings(
     used = clear_readings(ekf, readings, index)
     count = len(used.places)
     columns, begins = involved(ekf, used.places, line_at(ekf.counts, index))
-    before = x[:size].copy()
+    before = np.empty(size)
+    for j in range(size):
+        before[j] = x[j]
     at_first = error_transport(ekf)
     moved = np.zeros((size, POSE))
     rows = dense_rows(ekf, columns)
@@ -263,7 +273,7 @@ def update_by_readings(
             shifted = np.empty(rows.shape)
             for j in range(size):
                 x[j] += change[j]
-            moved = error_transport(ekf) - at_first
+            moved = moved_since(ekf, at_first)
             transport_rows(ekf.P, rows, columns, moved, shifted)
         H = expected_of(ekf, used, index)
         HP, S = gained(shifted, columns, begins, H, ekf.bend)

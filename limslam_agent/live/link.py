@@ -17,7 +17,7 @@ from limslam_agent.live.protocol import (
     encode,
 )
 from limslam_agent.live.transports import Transport
-from limslam_env.messages import described
+from limslam_env.messages import counted, described
 
 POLL = 0.02
 """Longest wait for a message before something else is done, s."""
@@ -61,7 +61,7 @@ class Connection(ABC):
         if self._newest_bad is None:
             return ""
         line, why = self._newest_bad
-        lines = "1 line was" if self.bad_lines == 1 else f"{self.bad_lines} lines were"
+        lines = counted(self.bad_lines, "line")
         return f"; {lines} not readable, at last {described(line.decode('latin-1'))}: {why}"
 
     @abstractmethod

@@ -14,6 +14,7 @@ from limslam_agent.live.protocol import (
     OLDEST,
     BadLineError,
     Hello,
+    Message,
     decode,
     is_name,
 )
@@ -138,19 +139,15 @@ class Seat:
 def _hellos(lines: list[bytes]) -> Iterator[Hello]:
     """The hellos of a datagram. It has room for a few lines."""
     for line in lines[:_LINES_OF_DATAGRAM]:
-        with suppress(BadLineError):
-            message = decode(line)
-            if isinstance(message, Hello):
-                yield message
+        if isinstance(message := _message(line), Hello):
+            yield message
 
 
-def is_unreadable(line: bytes) -> bool:
-    """Whether a line is no message."""
-    try:
-        decode(line)
-    except BadLineError:
-        return True
-    return False
+def _message(line: bytes) -> Message | None:
+    """The message of a line; None if it is none."""
+    with suppress(BadLineError):
+        return decode(line)
+    return None
 
 
 class UdpTransport:
@@ -214,7 +211,7 @@ class UdpTransport:
             if self._seat.admits(lines, sender):
                 found += lines
             elif self._seat.robot is None:  # so that it can be said what is wrong with them
-                found += filter(is_unreadable, lines[:_LINES_OF_DATAGRAM])
+                found += [each for each in lines[:_LINES_OF_DATAGRAM] if _message(each) is None]
         return found
 
     def send(self, line: bytes) -> None:

@@ -81,7 +81,7 @@ MEASURED: dict[Role | None, Dimension] = {
 quaternions have no unit.
 """
 
-_OF_WHEELS = {*Dimension} - {Dimension.TIME, Dimension.ANGLE}
+_OF_WHEELS = {*Dimension} - {Dimension.TIME}
 _SPELLINGS = {
     "s": "sec secs second seconds",
     "ms": "msec msecs millis millisecond milliseconds",

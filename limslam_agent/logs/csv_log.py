@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Role, column_of
-from limslam_agent.logs.labelled_lines import unlabelled
+from limslam_agent.logs.labelled_lines import unlabelled, unpacked
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -50,7 +50,7 @@ from limslam_agent.logs.table_text import (
     with_units_of_cells,
 )
 from limslam_agent.logs.wording import listed, was
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.messages import counted
 
@@ -62,6 +62,9 @@ _MOST_IGNORED = 12  # columns in a note
 _CLOCK_COUNTS = 2.0**32
 _DAY = 86400.0
 _LONGEST_PAUSE = 10.0
+# The clock is slower than the rows if so many rows have one time, of so many times.
+_ROWS_A_TICK = 3
+_FEWEST_TICKS = 3
 # Robots whose rows may follow each other in turn, and the share of the motion between two rows that
 # is left between two rows of one robot
 _MOST_ROBOTS = 4
@@ -106,7 +109,8 @@ def read_csv(
     robot = options.robot
     with naming(path):
         beams = [] if robot is None else np.degrees(robot.beam_angles).tolist()
-        header, lines = split_header(unlabelled(numbered_lines(path)), options.columns, beams)
+        lines = unpacked(unlabelled(numbered_lines(path)))
+        header, lines = split_header(lines, options.columns, beams)
         header, lines = with_units_of_cells(header, lines)
         if options.rate is not None:
             header = replace(header, columns=(column_of("t"), *header.columns))
@@ -192,6 +196,11 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
         raise ValueError("has no row with ranges")
     unit, time_notes = _time_unit(rows, median_spacing(numbers[:, 0]), options)
     numbers[:, 0] = _continued_clock(numbers[:, 0] * SCALE_OF[unit], SCALE_OF[unit])
+    order = _order(numbers[:, 0])
+    numbers = numbers[order]
+    has_scan = has_scan[order]
+    lines = lines[order]
+    numbers[:, 0], spread_notes = _evenly_apart(numbers[:, 0])
     _check_alternating(layout, numbers, options)
     for impossible_rows in (
         _impossible_times,
@@ -208,7 +217,7 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
     begins = _begin_again(numbers, lines)
     time = numbers[:, 0]
     odometry = Odometry(layout, numbers, options, begins)
-    notes = (*_notes_of_text(rows), *ranges.notes, *time_notes, *odometry.notes)
+    notes = (*_notes_of_text(rows), *ranges.notes, *time_notes, *spread_notes, *odometry.notes)
     fields: dict[str, Any] = {
         "ranges": numbers[:, len(layout.places) :] * ranges.metres,
         "has_scan": has_scan,
@@ -303,6 +312,38 @@ def _continued_clock(time: FloatArray, unit: float) -> FloatArray:
         is_late = (np.abs(steps - turn) <= LARGEST_STEP_BACK) & (np.cumsum(begins) > 0)
         time = time + turn * (np.cumsum(begins) - np.cumsum(is_late))
     return time
+
+
+def _order(time: FloatArray) -> IntArray:
+    """The order (n,) of rows at times (n,), s, in which a row that was written just before an
+    earlier one stands behind it.
+    """
+    order = np.arange(len(time))
+    before, early, late, after = (time[first : len(time) - 3 + first] for first in range(4))
+    is_late = (late < early) & (early - late <= LARGEST_STEP_BACK)
+    rows = np.flatnonzero(is_late & (before <= late) & (early <= after)) + 1
+    order[rows] = rows + 1
+    order[rows + 1] = rows
+    return order
+
+
+def _evenly_apart(time: FloatArray) -> tuple[FloatArray, list[str]]:
+    """Times (n,), s, of a clock that is slower than the rows, such as one of whole seconds, with
+    the rows of one time evenly apart, and that in words.
+    """
+    firsts = np.flatnonzero(np.diff(time, prepend=-math.inf))
+    ticks = time[firsts]
+    if len(firsts) < _FEWEST_TICKS or len(time) < _ROWS_A_TICK * len(firsts):
+        return time, []
+    if (np.diff(ticks) < 0.0).any():
+        return time, []
+    rows = np.arange(len(time))
+    period = (ticks[-1] - ticks[1]) / (firsts[-1] - firsts[1])
+    spread = np.interp(rows, firsts, ticks)
+    for here, ends in ((rows < firsts[1], 1), (rows > firsts[-1], -1)):
+        spread[here] = ticks[ends] + period * (rows[here] - firsts[ends])
+    share = len(time) / len(firsts)
+    return spread, [f"{share:.2g} rows on average have the same time: they are taken evenly apart"]
 
 
 def _check_alternating(layout: Layout, numbers: FloatArray, options: TableOptions) -> None:

@@ -114,12 +114,10 @@ def _as_reported(
     has_names = table is not None and bool(table.columns)
     if place.name.endswith(_TEXT_ENDINGS) or has_names or is_csv(path):
         return read_csv(path, beams_deg, max_range, table)
-    _refuse_options(table)
+    _refuse_options(table, "has no table, which has a header and rows of numbers")
     return read_carmen(path, beams_deg, reach)
 
 
-def _refuse_options(table: TableOptions | None) -> None:
+def _refuse_options(table: TableOptions | None, fact: str = "is not a table in plain text") -> None:
     if table not in (None, TableOptions()):
-        raise ValueError(
-            "is not a table in plain text, so --robot, units and --columns do not go with it"
-        )
+        raise ValueError(f"{fact}, so --robot, units and --columns do not go with it")

@@ -242,7 +242,7 @@ def _first_places(columns: Iterable[Column]) -> dict[Role, int]:
     places: dict[Role, int] = {}
     order = (Dimension.TICKS, Dimension.LENGTH, Dimension.SPEED, Dimension.TURN_RATE)
     sides: dict[Dimension, dict[Role, int]] = {
-        dimension: {} for dimension in (*order, Dimension.TICK_RATE)
+        dimension: {} for dimension in (*order, Dimension.TICK_RATE, Dimension.ANGLE)
     }
     for place, column in enumerate(columns):
         if column.role in WHEELS:

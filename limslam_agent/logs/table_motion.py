@@ -213,17 +213,15 @@ class Odometry:
             if self._layout.counts_ticks:
                 speeds *= options.metres_per_tick
             elif columns[0].dimension is Dimension.TURN_RATE:
-                if options.wheel_radius is None:
-                    raise ValueError(
-                        f"the column {columns[0].name[:40]!r} is the speed of a wheel in "
-                        f"{self.units[Role.LEFT]}: --wheel-radius says the radius of the wheels, "
-                        "m; or --columns names a speed in m/s, as in left_m_s"
-                    )
-                speeds *= options.wheel_radius
+                speeds *= self._wheel_radius()
             return speeds * self._lasted[:, None]
         per_tick = options.metres_per_tick
-        units = [each.unit if each.dimension is Dimension.LENGTH else None for each in columns]
+        are_angles = columns[0].dimension is Dimension.ANGLE
+        has_unit = (Dimension.LENGTH, Dimension.ANGLE)
+        units = [each.unit if each.dimension in has_unit else None for each in columns]
         metres: FloatArray = np.array([SCALE_OF[unit] if unit else per_tick for unit in units])
+        if are_angles:
+            metres = metres * self._wheel_radius()
         for role, unit in zip(WHEELS, units, strict=True):
             self.units[role] = unit or f"{per_tick:g} m for each 1"
         if units[0] and per_tick != 1.0:
@@ -242,6 +240,17 @@ class Odometry:
             self._begins = self._begins | begins_at_0
         travel[0] = 0.0
         return travel * metres
+
+    def _wheel_radius(self) -> float:
+        """Radius of the wheels, m. Raises a ValueError that asks for it."""
+        if self._options.wheel_radius is None:
+            column = self._layout.column(Role.LEFT)
+            raise ValueError(
+                f"the column {column.name[:40]!r} is the turn of a wheel in "
+                f"{column.unit or column.usual}: --wheel-radius says the radius of the wheels, m; "
+                "or --columns names a speed in m/s, as in left_m_s"
+            )
+        return self._options.wheel_radius
 
     def _driven(self, axle: float) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, by a distance and a turn."""

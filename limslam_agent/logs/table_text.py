@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.logs.columns import SCALE_OF, Column, Role, column_of
+from limslam_agent.logs.labelled_lines import MONITOR_TIME, Line
 from limslam_agent.logs.recorded_log import MOST_BEAMS, is_number, parse_number, parse_range
 from limslam_agent.logs.table_layout import DOTS, Header, Layout, columns_of, completeness
 from limslam_env.geometry import BoolArray, FloatArray
@@ -46,16 +47,13 @@ _ANY_UNIT = re.compile(r"[\[(][^\s,;()]*[\])]\s*$")
 _LONGEST_QUOTE = 60
 _WITH_UNIT = re.compile(rf"[-+]?[\d.,]+\s*({_UNIT})".encode())
 _SHOW_UNITS = 20  # rows
-_DAY_FIRST = re.compile(r"^(\d\d)\.(\d\d)\.(\d{4})")
+_YEAR_LAST = re.compile(r"^(\d\d?)[./-](\d\d?)[./-](\d{4})")
+_SHORT_HOUR = re.compile(r"(?<!\S)(?=\d:)")
+_HALF_OF_DAY = re.compile(r"\s*([ap])m$", re.IGNORECASE)
 _BLANK = b' \t\r\n,;"'
-# What a serial monitor writes before each line.
-_MONITOR_TIME = re.compile(rb"^\d\d:\d\d:\d\d(?:\.\d+)? -> ")
 
 # A semicolon goes first: a comma beside it is a decimal mark.
 _SEPARATORS = (b";", b"|", b",", b"\t")
-
-Line = tuple[int, bytes]
-"""A line with its number, counted from 1."""
 
 
 def split_header(
@@ -83,7 +81,7 @@ def split_header(
     ValueError
         If there is neither a header nor a choice, or a choice is no list of columns.
     """
-    lines = ((number, _MONITOR_TIME.sub(b"", line)) for number, line in lines)
+    lines = ((number, MONITOR_TIME.sub(b"", line)) for number, line in lines)
     seen: list[Line] = []
     size = 0
     for number, line in lines:
@@ -264,16 +262,30 @@ class Rows:
         if is_number(field):
             return parse_number(field, Role.TIME)
         text = field.decode("ascii", "replace")
-        text = _DAY_FIRST.sub(r"\3-\2-\1", text).replace("/", "-")
-        date = "" if "-" in text.lstrip("-")[:8] else "1970-01-01T"
+        half = _HALF_OF_DAY.search(text)
+        clock = _YEAR_LAST.sub(_iso_date, _HALF_OF_DAY.sub("", text)).replace("/", "-")
+        clock = _SHORT_HOUR.sub("0", clock)
+        date = "" if "-" in clock.lstrip("-")[:8] else "1970-01-01T"
         try:
-            moment = datetime.fromisoformat(date + text)
+            moment = datetime.fromisoformat(date + clock)
+            if half is not None:
+                moment = moment.replace(hour=moment.hour % 12 + 12 * (half[1] in "pP"))
         except ValueError:
             raise ValueError(
                 f"t is not a number, and no time such as 2026-11-28 14:03:05.25: {described(text)}"
             ) from None
         self.has_calendar = True
         return (moment - datetime(1970, 1, 1, tzinfo=moment.tzinfo)).total_seconds()
+
+
+def _iso_date(found: re.Match[str]) -> str:
+    """A date with the year at its end, whose month stands before the day where it cannot be
+    otherwise.
+    """
+    day, month, year = found.groups()
+    if int(month) > 12:
+        day, month = month, day
+    return f"{year}-{month:0>2}-{day:0>2}"
 
 
 def _trim(fields: list[bytes], count: int) -> None:

@@ -3,6 +3,7 @@ the command line.
 """
 
 import math
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from string import Formatter
@@ -30,8 +31,8 @@ _SENSOR = {
     "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
     "wall_curvature_per_m": ("walls curve by {:.0f} deg a metre", math.degrees(1.0)),
 }
-_COUNT = "{landmarks} walls"
-_WALLS = f"{_COUNT}, F1 {{wall_f1_aligned:.2f}} at 10 cm when aligned"
+_ONE = re.compile(r"(?<![\d.])1 (wall|step|collision)s\b")
+_WALLS = "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned"
 _ODOMETRY = {
     "left": ("left wheel {:+.2f} +- {:.2f} %", 100.0),
     "right": ("right wheel {:+.2f} +- {:.2f} %", 100.0),
@@ -137,7 +138,7 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     noise = part_of(agent, "noise").get("range_std")
     method = [
         " ".join(str(each) for each in (preset, config.get("ablation")) if each),
-        f"{len(beams)} beams" if isinstance(beams, list | tuple) else "",
+        counted(len(beams), "beam") if isinstance(beams, list | tuple) else "",
         f"range noise of {100.0 * noise:g} cm assumed" if isinstance(noise, int | float) else "",
     ]
     lines = [f"method      {', '.join(filter(None, method))}"] if any(method) else []
@@ -217,10 +218,8 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
     """
     lines = [f"stopped     {metrics.get('stop_reason', 'for an unknown reason')}"]
     lines += _line("", "after {exploration_time_s:.1f} s and {path_m:.1f} m", metrics)
-    collisions = "collision" if metrics.get("collisions") == 1 else "collisions"
-    lines += _line(
-        "covered", "{coverage_true:.1%} of what can be seen, {collisions:g} " + collisions, metrics
-    )
+    seen = "{coverage_true:.1%} of what can be seen, {collisions:g} collisions"
+    lines += _line("covered", seen, metrics)
     lines += _status(metrics) + _errors(metrics)
     if limit := _line(
         "limit",
@@ -264,7 +263,7 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     if texts.get("odometry_") == texts.get("raw_odometry_"):
         texts.pop("odometry_", None)
     lines += [f"relations   {trajectories[prefix]:21}{text}" for prefix, text in texts.items()]
-    return lines + (_line("map", _WALLS, metrics) or _line("map", _COUNT, metrics))
+    return lines + (_line("map", _WALLS, metrics) or _line("map", "{landmarks} walls", metrics))
 
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:
@@ -350,11 +349,9 @@ def _listed(title: str, words: Sequence[str]) -> list[str]:
 
 
 def _with(text: str, numbers: Mapping[str, Any]) -> str:
-    """A text with numbers by their names; empty if one of them is missing."""
-    if _has(numbers, "landmarks"):
-        text = text.replace(_COUNT, counted(numbers["landmarks"], "wall"))
+    """A text with numbers by their names, in which 1 has a singular; empty if one is missing."""
     names = [name for _, name, _, _ in Formatter().parse(text) if name]
-    return text.format_map(numbers) if _has(numbers, *names) else ""
+    return _ONE.sub(r"1 \1", text.format_map(numbers)) if _has(numbers, *names) else ""
 
 
 def _has(numbers: Any, *names: object) -> bool:

@@ -1,5 +1,6 @@
 """A policy around a planner that only says where to drive to next, as planners of others do."""
 
+import inspect
 import math
 from typing import Protocol
 
@@ -54,6 +55,11 @@ class TargetPolicy(MapExplorer):
     robot, config
         Body and settings. Those of the paper's robot and the default settings if left out.
 
+    Raises
+    ------
+    ValueError
+        If the planner's ``target`` does not take a grid and a pose.
+
     Examples
     --------
     >>> from limslam_agent import LimSlamAgent, TargetPolicy
@@ -70,6 +76,11 @@ class TargetPolicy(MapExplorer):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
     ) -> None:
+        try:
+            inspect.signature(planner.target).bind(None, None)
+        except TypeError:
+            name = type(planner).__name__
+            raise ValueError(f"{name} makes no policy: a planner has target(grid, pose)") from None
         self._planner = planner
         self._config = config or PolicyConfig()
         super().__init__(robot or RobotSpec())

@@ -17,9 +17,11 @@ from limslam_agent.runs.actor_checks import acts_on_belief, check_actor
 from limslam_agent.runs.actors import ALONE, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, over_robots, trajectory_scores
+from limslam_agent.runs.run_spec import LONGEST_TIME
 from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.envs.arguments import given
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.numbers import check_count, check_number
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described
 
@@ -109,7 +111,7 @@ def evaluate(
         driver_of, chosen, is_team=is_team, robot=robot, preset_name=preset, is_policy=is_policy
     )
     goal = {"coverage_goal": None} if make().can_stop else {}
-    bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
+    bare = _make(env_id, max(1, round(max_time / robot.control_period)), {**goal, **arguments})
     env = wrap(bare) if wrap else bare
     try:
         driver = make(noise=bare.unwrapped.nominal_noise)
@@ -148,14 +150,20 @@ def medians(results: Sequence[Result]) -> dict[str, float | None]:
 
 def _seeds(seeds: Any) -> list[int]:
     """The seeds, of which a number n means 0 to n - 1."""
-    listed = range(seeds) if isinstance(seeds, int) and not isinstance(seeds, bool) else seeds
-    if isinstance(listed, str | bytes) or not isinstance(listed, Iterable):
-        raise ValueError(f"seeds must be a number of episodes or a list of seeds, not {seeds!r}")  # noqa: TRY004 (a value)
-    found = list(listed)
+    if isinstance(seeds, int) and not isinstance(seeds, bool):
+        check_count("the number of seeds", seeds, _MOST_EPISODES)
+        return list(range(seeds))
+    is_list = isinstance(seeds, Iterable) and not isinstance(seeds, str | bytes)
+    found = list(seeds) if is_list else []
     if not found or not all(isinstance(seed, int | np.integer) and seed >= 0 for seed in found):
-        raise ValueError(f"seeds must be whole numbers from 0, at least one of them, not {seeds!r}")
+        raise ValueError(
+            "seeds must be a number of episodes, or whole numbers from 0, at least one of them, "
+            f"not {described(seeds)}"
+        )
     return [int(seed) for seed in found]
 
+
+_MOST_EPISODES = 1_000_000
 
 _Infos = dict[str, dict[str, Any]]
 """The true infos of the robots by their names."""
@@ -213,8 +221,7 @@ def _check(
     actor: Any, is_policy: bool | None, env_id: Any, max_time: float, preset: str | None
 ) -> None:
     """Refuse arguments that cannot be used, before anything is made."""
-    if not max_time > 0.0:
-        raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
+    check_number("max_time", max_time, 1e-3, LONGEST_TIME, "s")
     if not isinstance(env_id, str):
         raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
             f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "

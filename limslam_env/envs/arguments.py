@@ -1,6 +1,5 @@
 """The arguments of environments and batches, and their checks, which name what is wrong."""
 
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any, TypeAlias, TypeVar
@@ -8,7 +7,7 @@ from typing import Any, TypeAlias, TypeVar
 import numpy as np
 
 from limslam_env.config import NoiseConfig, RewardConfig
-from limslam_env.geometry.numbers import plain
+from limslam_env.geometry.numbers import check_count, index_of, plain
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described, one_line
 from limslam_env.worlds.formats.loading import WorldSource, load_world
@@ -70,25 +69,6 @@ def given(name: str, value: Any, kind: type[Kind]) -> Kind:
     )
 
 
-def whole(name: str, value: Any, most: int, otherwise: str = "") -> int:
-    """A whole number from 1 to ``most``; a ValueError otherwise, which adds the alternatives that
-    ``otherwise`` names.
-    """
-    number = _index(value)
-    if number is None or not 1 <= number <= most:
-        limit = "1 or more" if number is None or number < 1 else f"{most} or less"
-        raise ValueError(
-            f"{name} must be a whole number, {limit}{otherwise}, not {described(value)}"
-        )
-    return number
-
-
-def check_robots(num_robots: Any) -> None:
-    """Refuse a number of robots that is not a whole number from 1 to 8, with a ValueError."""
-    if _index(num_robots) not in range(1, MAX_ROBOTS + 1):
-        raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
-
-
 def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
     """The options of a reset; a ValueError where they are no dictionary, or one of them is not
     ``known``.
@@ -148,13 +128,12 @@ def seeds_of(plans: Plans, source: World | list[World] | FloorPlanConfig) -> Seq
         return None
     if not isinstance(source, FloorPlanConfig):
         raise ValueError("plans are for worlds that are drawn")  # noqa: TRY004 (all are ValueErrors)
-    seeds = plans if isinstance(plans, Sequence) else range(min(_index(plans) or 0, MOST_PLANS + 1))
-    known = map(_index, seeds if len(seeds) <= MOST_PLANS else ())
-    found = [seed for seed in known if seed is not None and seed >= 0]
-    if not found or len(found) < len(seeds):
+    if not isinstance(plans, Sequence):
+        return range(check_count("plans", plans, MOST_PLANS))
+    found = [seed for seed in map(index_of, plans[: MOST_PLANS + 1]) if seed is not None]
+    if not 1 <= len(found) == len(plans) <= MOST_PLANS or min(found) < 0:
         raise ValueError(
-            "plans must be 1 or more, or seeds of 0 and more, whole numbers, and at most "
-            f"{MOST_PLANS} plans, not {described(plans)}"
+            f"plans must be up to {MOST_PLANS} seeds of 0 and more, not {described(plans)}"
         )
     return found
 
@@ -162,7 +141,7 @@ def seeds_of(plans: Plans, source: World | list[World] | FloorPlanConfig) -> Seq
 def listed_seeds(seeds: Any, num_envs: int) -> list[int | None]:
     """The seed of each environment, None where any will do; a ValueError where they are none."""
     listed = list(seeds) if isinstance(seeds, Sequence | np.ndarray) else [seeds]
-    found = [_index(seed) for seed in listed]
+    found = [index_of(seed) for seed in listed]
     is_wrong = any(
         seed is not None and (number is None or number < 0)
         for seed, number in zip(listed, found, strict=True)
@@ -173,11 +152,3 @@ def listed_seeds(seeds: Any, num_envs: int) -> list[int | None]:
             f"{described(seeds)}"
         )
     return found
-
-
-def _index(value: Any) -> int | None:
-    """A whole number; None for anything else, truth values among it."""
-    try:
-        return None if isinstance(value, bool) else operator.index(value)
-    except TypeError:
-        return None

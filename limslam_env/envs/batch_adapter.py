@@ -23,11 +23,10 @@ from limslam_env.envs.arguments import (
     listed_seeds,
     reset_options,
     seeds_of,
-    whole,
     worlds_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.numbers import floats
+from limslam_env.geometry.numbers import check_count, floats
 from limslam_env.messages import described
 from limslam_env.overlay import Overlay
 from limslam_env.worlds.world import World
@@ -75,11 +74,11 @@ class Batched(Configured):
         **arguments: Any,
     ) -> None:
         """Take a batch's arguments; its class documents them and the errors raised."""
-        num_envs = whole("num_envs", num_envs, MOST_ENVS)
+        num_envs = check_count("num_envs", num_envs, MOST_ENVS)
         if max_steps is not None:
-            max_steps = whole("the steps of an episode", max_steps, MOST_STEPS, ", or None")
+            max_steps = check_count("the steps of an episode", max_steps, MOST_STEPS)
         if num_threads is not None:
-            num_threads = whole("num_threads", num_threads, MOST_THREADS, ", or None")
+            num_threads = check_count("num_threads", num_threads, MOST_THREADS)
         self._configure(**arguments)
         self._num_robots = num_robots
         self.num_envs = num_envs

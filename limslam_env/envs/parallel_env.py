@@ -24,7 +24,8 @@ from limslam_env.envs.adapter import (
     observation_space,
     wheel_speeds,
 )
-from limslam_env.envs.arguments import MOST_STEPS, PlaceSource, check_robots, whole
+from limslam_env.envs.arguments import MAX_ROBOTS, MOST_STEPS, PlaceSource
+from limslam_env.geometry.numbers import check_count
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_MODES
 from limslam_env.simulation.simulation import Readings, Truth
@@ -121,9 +122,9 @@ class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observatio
         max_cycles: int | None = 18_000,
         render_mode: str | None = None,
     ) -> None:
-        check_robots(num_robots)
+        check_count("the number of robots", num_robots, MAX_ROBOTS)
         if max_cycles is not None:
-            whole("max_cycles", max_cycles, MOST_STEPS, ", or None")
+            check_count("max_cycles", max_cycles, MOST_STEPS)
         self._set_up(
             world,
             num_robots,

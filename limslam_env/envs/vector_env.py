@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from limslam_env.batch.batch import Results
 from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import NamedRobots, action_space, observation_space
-from limslam_env.envs.arguments import BatchSource, Plans, check_robots
+from limslam_env.envs.arguments import MAX_ROBOTS, BatchSource, Plans
 from limslam_env.envs.batch_adapter import (
     Batched,
     BatchObservation,
@@ -26,6 +26,7 @@ from limslam_env.envs.batch_adapter import (
     observations_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.numbers import check_count
 from limslam_env.interface import RobotSpec
 from limslam_env.overlay import Overlay
 
@@ -263,7 +264,7 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
         max_cycles: int | None = 18_000,
         **arguments: Any,
     ) -> None:
-        check_robots(num_robots)
+        check_count("the number of robots", num_robots, MAX_ROBOTS)
         self._set_up(world, num_envs, num_robots, max_cycles, **arguments)
         self._shares_reward = shared_reward
         self.single_action_space, self.single_observation_space = (

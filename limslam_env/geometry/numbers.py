@@ -68,18 +68,24 @@ def check_number(what: str, value: Any, low: float, high: float, unit: str = "")
         raise ValueError(f"{what} must be a number from {limits}, not {described(value)}{asked}")
 
 
-def check_count(what: str, value: Any, high: int, *, least: int = 1) -> None:
-    """Refuse what is not a whole number from ``least`` to ``high``. Raises a ValueError as
-    :func:`check_number` does.
-    """
+def index_of(value: Any) -> int | None:
+    """A whole number; None for anything else, truth values among it."""
     try:
-        is_allowed = not isinstance(value, bool) and least <= operator.index(value) <= high
+        return None if isinstance(value, bool) else operator.index(value)
     except TypeError:
-        is_allowed = False
-    if not is_allowed:
+        return None
+
+
+def check_count(what: str, value: Any, high: int, *, least: int = 1) -> int:
+    """A whole number from ``least`` to ``high``. Raises a ValueError as :func:`check_number`
+    does.
+    """
+    number = index_of(value)
+    if number is None or not least <= number <= high:
         raise ValueError(
             f"{what} must be a whole number from {least} to {high}, not {described(value)}"
         )
+    return number
 
 
 def check_poses(what: str, poses: FloatArray) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
-from limslam_env.compilation import entry_of
+from limslam_env.compilation import compiled, entry_of
 from limslam_env.geometry import FloatArray, IntArray
 
 # A kernel calls only kernels of its own file.
@@ -91,7 +91,8 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
                 wider[place] = found[place]
             found = wider
         after = count
-        for row in rows[firsts[node] : firsts[node + 1]]:
+        for place in range(firsts[node], firsts[node + 1]):
+            row = rows[place]
             seen[row] = node
             found[end] = row
             end += 1
@@ -99,7 +100,8 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
                 after = min(after, row)
         each = child[node]
         while each >= 0:
-            for row in found[ends[each] + 1 : ends[each + 1]]:
+            for place in range(ends[each] + 1, ends[each + 1]):
+                row = found[place]
                 if seen[row] < node:
                     seen[row] = node
                     found[end] = row
@@ -111,13 +113,6 @@ def _filled(firsts: IntArray, rows: IntArray) -> tuple[IntArray, IntArray]:
             sibling[node] = child[after]
             child[after] = node
     return ends, found
-
-
-@kernel
-def _panel(at: Panels, number: int, values: FloatArray) -> tuple[FloatArray, IntArray]:
-    """The entries (columns, rows) of a panel, and the unknowns of its rows."""
-    rows = at.unknowns[at.tops[number] : at.tops[number + 1]]
-    return values[at.begins[number] : at.begins[number + 1]].reshape(-1, len(rows)), rows
 
 
 @kernel
@@ -137,18 +132,33 @@ def add_blocks(
                 row = nodes[number, i]
                 if column <= row < count:
                     owner = at.owners[column]
-                    first = at.firsts[owner]
-                    coupled = at.rows[first : at.firsts[owner + 1]]
-                    place = at.places[first + np.searchsorted(coupled, row)]
+                    entry = at.firsts[owner]
+                    end = at.firsts[owner + 1]
+                    while entry < end:
+                        middle = (entry + end) // 2
+                        if at.rows[middle] < row:
+                            entry = middle + 1
+                        else:
+                            end = middle
                     height = at.tops[owner + 1] - at.tops[owner]
                     begin = at.starts[column] - at.starts[at.nodes[owner]]
-                    begin = at.begins[owner] + begin * height + place
+                    begin = at.begins[owner] + begin * height + at.places[entry]
                     for b in range(widths[j]):
                         for a in range(widths[i]):
                             values[begin + a] += hessians[number, low + a, right + b]
                         begin += height
                 low += widths[i]
             right += widths[j]
+
+
+@compiled
+def _panel(tops: IntArray, begins: IntArray, number: int) -> tuple[int, int, int, int]:
+    """Of a panel: the first of its rows and how many, the first of its entries, and how many
+    columns.
+    """
+    height = tops[number + 1] - tops[number]
+    begin = begins[number]
+    return tops[number], height, begin, (begins[number + 1] - begin) // height
 
 
 @kernel
@@ -159,68 +169,73 @@ def factorise(at: Panels, values: FloatArray) -> bool:
     count = len(at.begins) - 1
     # Of each panel: the entry of the next node that it changes, and the next panel that changes the
     # same one
-    by = at.firsts[:-1].copy()
+    by = np.empty(count, np.int64)
     first = np.full(count, -1)
     following = np.full(count, -1)
     place_of = np.empty(at.starts[-1], np.int64)
     sums = np.empty(at.starts[-1])
     for number in range(count):
-        panel, rows = _panel(at, number, values)
-        for i in range(len(rows)):
-            place_of[rows[i]] = i
+        top, height, begin, width = _panel(at.tops, at.begins, number)
+        for i in range(height):
+            place_of[at.unknowns[top + i]] = i
         other = first[number]
         while other >= 0:
             after = following[other]
-            earlier, rows = _panel(at, other, values)
+            earlier = _panel(at.tops, at.begins, other)
             low = at.places[by[other]]
             end = at.starts[at.nodes[number + 1]]
-            _subtract(earlier[:, low:], rows[low:], end, place_of, sums, panel)
+            _subtract(values, at.unknowns, earlier, low, end, place_of, sums, (begin, height))
             _wait(at, other, number + 1, by, first, following)
             other = after
-        for column in range(len(panel)):
-            own = panel[column]
-            if not own[column] > 0.0:
+        for column in range(width):
+            own = begin + column * height
+            if not values[own + column] > 0.0:
                 return False
-            root = np.sqrt(own[column])
-            for i in range(column, len(own)):
-                own[i] /= root
-            for k in range(column + 1, len(panel)):
-                share = own[k]
-                later = panel[k]
-                for i in range(k, len(own)):
-                    later[i] -= share * own[i]
+            root = np.sqrt(values[own + column])
+            for i in range(column, height):
+                values[own + i] /= root
+            for k in range(column + 1, width):
+                share = values[own + k]
+                later = begin + k * height
+                for i in range(k, height):
+                    values[later + i] -= share * values[own + i]
+        by[number] = at.firsts[number]
         _wait(at, number, number + 1, by, first, following)
     return True
 
 
-@kernel
+@compiled
 def _subtract(
-    earlier: FloatArray,
-    rows: IntArray,
+    values: FloatArray,
+    unknowns: IntArray,
+    earlier: tuple[int, int, int, int],
+    low: int,
     end: int,
     place_of: IntArray,
     sums: FloatArray,
-    panel: FloatArray,
+    panel: tuple[int, int],
 ) -> None:
-    """Subtract what the rows (r,) of an earlier panel (k, r) add to those of a panel, whose
-    unknowns are below ``end``.
+    """Subtract what the rows of an earlier panel, from the one at ``low``, add to those of a panel,
+    whose unknowns are below ``end``.
     """
-    for column in range(len(rows)):
-        if rows[column] >= end:
+    top, height, begin, width = earlier
+    for column in range(low, height):
+        unknown = unknowns[top + column]
+        if unknown >= end:
             break
-        total = sums[column : len(rows)]
-        total[:] = 0.0
-        for k in range(len(earlier)):
-            share = earlier[k, column]
-            part = earlier[k, column:]
-            for i in range(len(total)):
-                total[i] += share * part[i]
-        own = panel[place_of[rows[column]]]
-        for i in range(len(total)):
-            own[place_of[rows[column + i]]] -= total[i]
+        for i in range(column, height):
+            sums[i] = 0.0
+        for k in range(width):
+            part = begin + k * height
+            share = values[part + column]
+            for i in range(column, height):
+                sums[i] += share * values[part + i]
+        own = panel[0] + place_of[unknown] * panel[1]
+        for i in range(column, height):
+            values[own + place_of[unknowns[top + i]]] -= sums[i]
 
 
-@kernel
+@compiled
 def _wait(
     at: Panels, number: int, before: int, by: IntArray, first: IntArray, following: IntArray
 ) -> None:
@@ -237,17 +252,21 @@ def _wait(
 def forward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
     """Divide right sides (q, k) by a factor from the left, in place."""
     for number in range(len(at.begins) - 1):
-        panel, rows = _panel(at, number, values)
-        if not right[rows[0] : rows[0] + len(panel)].any():
-            continue
-        for column in range(len(panel)):
-            own = right[rows[column]]
-            own /= panel[column, column]
-            for i in range(column + 1, len(rows)):
-                share = panel[column, i]
-                other = right[rows[i]]
-                for k in range(len(other)):
-                    other[k] -= share * own[k]
+        top, height, begin, width = _panel(at.tops, at.begins, number)
+        is_used = False
+        for column in range(width):
+            for k in range(right.shape[1]):
+                is_used |= right[at.unknowns[top + column], k] != 0.0
+        for column in range(width if is_used else 0):
+            own = at.unknowns[top + column]
+            for k in range(right.shape[1]):
+                right[own, k] /= values[begin + column]
+            for i in range(column + 1, height):
+                share = values[begin + i]
+                other = at.unknowns[top + i]
+                for k in range(right.shape[1]):
+                    right[other, k] -= share * right[own, k]
+            begin += height
     return right
 
 
@@ -255,12 +274,13 @@ def forward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
 def backward(at: Panels, values: FloatArray, right: FloatArray) -> FloatArray:
     """Divide a right side (q,) by the transpose of a factor from the left, in place."""
     for number in range(len(at.begins) - 2, -1, -1):
-        panel, rows = _panel(at, number, values)
-        for column in range(len(panel) - 1, -1, -1):
-            total = right[rows[column]]
-            for i in range(column + 1, len(rows)):
-                total -= panel[column, i] * right[rows[i]]
-            right[rows[column]] = total / panel[column, column]
+        top, height, begin, width = _panel(at.tops, at.begins, number)
+        for column in range(width - 1, -1, -1):
+            part = begin + column * height
+            total = right[at.unknowns[top + column]]
+            for i in range(column + 1, height):
+                total -= values[part + i] * right[at.unknowns[top + i]]
+            right[at.unknowns[top + column]] = total / values[part + column]
     return right
 
 
@@ -272,29 +292,33 @@ def selected_inverse(at: Panels, values: FloatArray) -> FloatArray:
     application to short circuit study", 1973: z_ij = -sum over k of z_ik l_kj for i > j, and z_jj =
     1 / d_j - sum over k of z_kj l_kj.
     """
-    inverse = np.zeros_like(values)
+    inverse = np.zeros(len(values))
     own = np.zeros(at.starts[-1])
     total = np.zeros(at.starts[-1])
     for number in range(len(at.begins) - 2, -1, -1):
-        panel, rows = _panel(at, number, values)
-        out, _ = _panel(at, number, inverse)
-        for column in range(len(panel) - 1, -1, -1):
-            pivot = panel[column, column]
-            for i in range(column + 1, len(rows)):
-                own[rows[i]] = panel[column, i] / pivot
-                total[rows[i]] = 0.0
+        top, height, begin, width = _panel(at.tops, at.begins, number)
+        for column in range(width - 1, -1, -1):
+            out = begin + column * height
+            pivot = values[out + column]
+            for i in range(column + 1, height):
+                own[at.unknowns[top + i]] = values[out + i] / pivot
+                total[at.unknowns[top + i]] = 0.0
             for entry in range(at.firsts[number], at.firsts[number + 1]):
                 node = at.rows[entry]
-                known, coupled = _panel(at, at.owners[node], inverse)
-                for unknown in range(max(at.starts[node], rows[column] + 1), at.starts[node + 1]):
-                    j = unknown - coupled[0]
-                    total[unknown] += known[j, j] * own[unknown]
-                    for i in range(j + 1, len(coupled)):
-                        total[coupled[i]] += known[j, i] * own[unknown]
-                        total[unknown] += known[j, i] * own[coupled[i]]
-            out[column, column] = 1.0 / pivot**2
-            for i in range(column + 1, len(rows)):
-                out[column, i] = -total[rows[i]]
-                out[column, column] += total[rows[i]] * own[rows[i]]
-                own[rows[i]] = 0.0
+                first, size, known, _ = _panel(at.tops, at.begins, at.owners[node])
+                least = max(at.starts[node], at.unknowns[top + column] + 1)
+                for unknown in range(least, at.starts[node + 1]):
+                    j = unknown - at.unknowns[first]
+                    part = known + j * size
+                    total[unknown] += inverse[part + j] * own[unknown]
+                    for i in range(j + 1, size):
+                        coupled = at.unknowns[first + i]
+                        total[coupled] += inverse[part + i] * own[unknown]
+                        total[unknown] += inverse[part + i] * own[coupled]
+            inverse[out + column] = 1.0 / pivot**2
+            for i in range(column + 1, height):
+                row = at.unknowns[top + i]
+                inverse[out + i] = -total[row]
+                inverse[out + column] += total[row] * own[row]
+                own[row] = 0.0
     return inverse

@@ -186,7 +186,7 @@ class Graph:
         if len(self._numbers) < len(self._hessians):
             self._panels = None
             firsts = np.flatnonzero(np.diff(self.nodes.owners[columns[0]], prepend=-1))
-            self._numbers.append(self.nodes.owners[columns[:, firsts]])
+            self._numbers.append(self.nodes.owners[columns.take(firsts, axis=1)])
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
     def factorise(self) -> tuple[cholesky.Panels, FloatArray]:

@@ -169,6 +169,8 @@ class ChunkGraph:
         The first chunk and its pose (3,), which is fixed.
     config
         The settings of chunks.
+    judged_later
+        Whether all loops are judged once all are found. Until then, all of them count.
 
     Attributes
     ----------
@@ -186,13 +188,21 @@ class ChunkGraph:
         Those of them with which the graph is solved. The others wait for one that agrees.
     """
 
-    def __init__(self, chunk: LocalMap, pose: FloatArray, config: LocalMapConfig) -> None:
+    def __init__(
+        self,
+        chunk: LocalMap,
+        pose: FloatArray,
+        config: LocalMapConfig,
+        *,
+        judged_later: bool = False,
+    ) -> None:
         self.maps = [chunk]
         self.poses = pose[None]
         self.hops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3)))
         self.loops = list[Loop]()
         self.counting = list[Loop]()
         self._waiting = list[Loop]()
+        self._judged_later = judged_later
         self._graph: Graph | None = None  # that of the poses
         self.config = config
         self._grid = lru_cache(_MOST_SEARCHED)(self._search_grid)
@@ -268,6 +278,9 @@ class ChunkGraph:
         """How many of the loops that were found, or that have waited, count from now on: those that
         are not doubtful, and those with which the graph or another loop agrees.
         """
+        if self._judged_later:
+            self.counting += found
+            return 0
         waiting = [*self._waiting, *found]
         travel = np.array([each.travel for each in self.maps])
         # A loop is supported by loops of a few chunks before and after.
@@ -370,7 +383,7 @@ def search_loops(
     """All loops that the search accepts between chunks (c,), of which the first one has the pose
     ``start`` (3,).
     """
-    graph = ChunkGraph(maps[0], start, config)
+    graph = ChunkGraph(maps[0], start, config, judged_later=True)
     for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
         graph.add(chunk, motion[None], covariance)
     return graph.loops

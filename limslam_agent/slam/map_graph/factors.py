@@ -6,7 +6,7 @@ a turn about its centre, and an offset.
 
 import numpy as np
 
-from limslam_agent.slam.graph.factors import dynamic_covariance_scaling, relation
+from limslam_agent.slam.graph.factors import dynamic_covariance_scaling, geman_mcclure, relation
 from limslam_agent.slam.graph.graph import Factors, Keys, RobustKernel
 from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.point_links import PointCloud
@@ -14,6 +14,8 @@ from limslam_agent.slam.map_graph.wall_lines import WallLines
 from limslam_env.geometry import FloatArray, IntArray
 
 _LOOP_KERNEL = 3.0  # scale of dynamic covariance scaling, as a chi-square
+# rad, within which walls determine the axes of a building, at first and at last
+_AXES_WIDTHS = 0.3, 0.1, 0.03
 
 
 def loop_kernel(widening: float = 1.0) -> RobustKernel:
@@ -82,6 +84,24 @@ def point_on_wall(poses: FloatArray, cloud: PointCloud, walls: WallLines, std: f
     jacobian = np.column_stack((by_pose, _cross(normals, off), -np.ones(len(off))))
     keys: Keys = (("poses", key), ("walls", walls.lines))
     return _in_stds(keys, np.sum(normals * off, axis=1), jacobian, std)
+
+
+def wall_on_axes(walls: WallLines, std: float) -> Factors:
+    """Turns of walls from the axes of the building, to which most walls are parallel.
+
+    The axes are those of the most points, and their turn is an unknown. ``std`` (rad) is the
+    standard deviation of each wall.
+    """
+    count = len(walls.angles)
+    turns = np.exp(4j * walls.angles)
+    weights = np.bincount(walls.lines, minlength=count)
+    middle = np.sum(weights * turns)
+    for width in _AXES_WIDTHS:
+        near = geman_mcclure(4.0 * width)(np.angle(turns * middle.conj()) ** 2)
+        middle = np.sum(weights * near * turns)
+    jacobian = np.tile([1.0, 0.0, -1.0], (count, 1))
+    keys: Keys = (("walls", np.arange(count)), ("axes", np.zeros(count, dtype=np.int64)))
+    return _in_stds(keys, np.angle(turns * middle.conj()) / 4.0, jacobian, std)
 
 
 def _in_stds(keys: Keys, errors: FloatArray, jacobian: FloatArray, std: float) -> Factors:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
 from limslam_agent.slam.map_graph.local_maps import HIT, Cells
-from limslam_env.compilation import entry_of
+from limslam_env.compilation import compiled, entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
@@ -220,7 +220,7 @@ def variance_along(both: FloatArray, cell: float) -> float:
     return (cell * max(falls)) ** 2 / (2.0 * _FALL)
 
 
-@kernel
+@compiled
 def _add_rows(sums: NDArray[np.int16], cells: Cells, row: int, column: int) -> None:
     """Add a patch of cells that begins at a given row and column to sums of the same shape."""
     for a in range(sums.shape[0]):
@@ -230,7 +230,7 @@ def _add_rows(sums: NDArray[np.int16], cells: Cells, row: int, column: int) -> N
             total[b] += line[b]
 
 
-@kernel
+@compiled
 def _find_cells(
     grid: SearchGrid, points: FloatArray, pose: FloatArray, margin: int, out: IntArray
 ) -> None:

@@ -14,7 +14,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     points_in_keys,
     to_world,
 )
-from limslam_env.compilation import entry_of
+from limslam_env.compilation import compiled, entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 # A kernel calls only kernels of its own file.
@@ -131,7 +131,7 @@ def _index(places: FloatArray, travel: FloatArray, side: float) -> _Index:
     return _Index(places, travel, number[order], order, side)
 
 
-@kernel
+@compiled
 def _around(index: _Index, place: int, reach: float, cells: IntArray, out: IntArray) -> int:
     """Set the first numbers to the points around a point, which has a place in the order, up to a
     distance driven from it, and return their number.
@@ -215,7 +215,7 @@ def _normals(
     return normals, good
 
 
-@kernel
+@compiled
 def _band(gap: float, borders: FloatArray) -> int:
     """Index of the band that contains a distance driven; the last band has no upper limit."""
     band = 0

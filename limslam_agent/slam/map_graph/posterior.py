@@ -23,6 +23,8 @@ _MOST = 60  # windows over which odometry is judged, and poses of a path that ar
 _ITERATIONS = 3  # of the variances; where a path follows odometry alone, nothing changes
 _ASSUMED = 0.2  # windows that tell all, by which the assumed variances of odometry count
 _LEAST_STD = 1e-5  # of a constant error of odometry
+# Standard deviation of the size of a path, of which links make each part a little too short
+_SCALE_STD = 0.004
 
 
 def position_covariance(keys: KeyPoses, trajectory: Trajectory, relations: Relations) -> FloatArray:
@@ -49,7 +51,9 @@ def covariance_in(graph: Graph, keys: KeyPoses, trajectory: Trajectory) -> Float
     rows = np.zeros((graph.nodes.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0
     white = graph.whitened(rows)
-    return aligned_covariance(white.T @ white, trajectory.poses[numbers, :2])
+    positions = trajectory.poses[numbers, :2]
+    scaled = _SCALE_STD * (positions - positions.mean(axis=0)).ravel()
+    return aligned_covariance(white.T @ white, positions) + np.outer(scaled, scaled)
 
 
 def with_learned_noise(

@@ -15,7 +15,13 @@ import numpy as np
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.slam.graph.factors import Relations, geman_mcclure, prior, relation
 from limslam_agent.slam.graph.graph import Graph, Nodes
-from limslam_agent.slam.map_graph.factors import loop_kernel, odometry, point_link, point_on_wall
+from limslam_agent.slam.map_graph.factors import (
+    loop_kernel,
+    odometry,
+    point_link,
+    point_on_wall,
+    wall_on_axes,
+)
 from limslam_agent.slam.map_graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
 from limslam_agent.slam.map_graph.point_links import links_across, links_along, point_cloud
 from limslam_agent.slam.map_graph.wall_lines import find_lines
@@ -35,6 +41,13 @@ _FURTHER = 2  # iterations of a window whose earlier part is smooth
 # m, within which points of different visits are linked, at first and at last
 _RADIUS = 0.4
 _LAST_RADIUS = 0.2
+# Standard deviation of the walls about the axes of a building, rad, which is so many times as large
+# at first, and the scale of its kernel. Where odometry loses the heading by more than the last
+# number, walls are not given to axes.
+_AXES_STD = math.radians(0.5)
+_FIRST_AXES = 8.0
+_AXES_KERNEL = 2.0
+_MOST_LOST = math.radians(7.0)
 _FIRST_WINDOW = 4.0  # m, in which walls are found in the first iteration with walls
 
 
@@ -55,7 +68,8 @@ def smooth_locally(keys: KeyPoses, trajectory: Trajectory) -> Trajectory:
         window = _FIRST_WINDOW + (walls.window - _FIRST_WINDOW) * progress
         widening = 1.8 - 0.8 * progress
         near = replace(walls, window=window, tolerance=widening * walls.tolerance)
-        graph = _graph(keys, trajectory, walls=near, wall_factor=widening)
+        axes_factor = _FIRST_AXES ** (1.0 - progress)
+        graph = _graph(keys, trajectory, walls=near, wall_factor=widening, axes_factor=axes_factor)
         trajectory = _chained(trajectory, graph)
     return trajectory
 
@@ -92,7 +106,7 @@ def bundle_graph(
     Without ``link_factor``, the stated errors of 23 made-up logs were right on average (NEES / 2 of
     0.95).
     """
-    graph = _graph(keys, trajectory, link_factor, keys.config.lines, radius=radius)
+    graph = _graph(keys, trajectory, link_factor, keys.config.lines, radius=radius, axes_factor=1.0)
     graph.add_robust(relation(trajectory.poses, *relations), loop_kernel())
     return graph
 
@@ -124,18 +138,24 @@ def _graph(
     walls: WallLineConfig | None = None,
     wall_factor: float = 1.0,
     radius: float = 0.0,
+    axes_factor: float = 0.0,
 ) -> Graph:
     """The graph of odometry, links along the way, and walls and links between visits if asked.
 
-    The factors are those of the standard deviations of points about links and walls. ``radius`` is
-    that of links between visits, m.
+    The factors are those of the standard deviations of points about links and walls, and of walls
+    about the axes of the building, which are not used if it is zero. ``radius`` is that of links
+    between visits, m.
     """
     config = keys.config
     poses = trajectory.poses
     cloud = point_cloud(keys, trajectory)
     lines = find_lines(cloud, walls) if walls else None
     count = len(lines.angles) if lines else 0
-    graph = Graph(Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2)))
+    lost = float(keys.step_variances[:, 2].sum() + (trajectory.bias[0] * keys.driven) ** 2)
+    has_axes = count > 0 and axes_factor > 0.0 and lost < _MOST_LOST**2
+    graph = Graph(
+        Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2), axes=(int(has_axes), 1))
+    )
     _add_odometry(graph, keys, trajectory)
     std = link_factor * math.hypot(_LINK_STD, keys.data.range_std)
     robust = geman_mcclure(_LINK_KERNEL)
@@ -149,6 +169,10 @@ def _graph(
         on_walls = point_on_wall(poses, cloud, lines, wall_std)
         graph.add_robust(on_walls, geman_mcclure(_WALL_KERNEL))
         graph.add(prior("walls", np.zeros((count, 2)), _WALL_PRIOR * np.eye(2)))
+        if has_axes:
+            on_axes = wall_on_axes(lines, axes_factor * _AXES_STD)
+            graph.add_robust(on_axes, geman_mcclure(_AXES_KERNEL))
+            graph.add(prior("axes", np.zeros((1, 1)), _WALL_PRIOR * np.eye(1)))
     return graph
 
 

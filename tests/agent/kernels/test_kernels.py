@@ -1,4 +1,4 @@
-"""Kernels of the agent against plain numpy: cells and nearness."""
+"""Kernels of the agent against plain numpy: cells, nearness and sorting."""
 
 import math
 
@@ -7,6 +7,7 @@ import pytest
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.kernels.algebra import order_of
 from limslam_agent.kernels.cells import BODY, CROSSED, ENDED, SKIPPED, change_cells
 from limslam_agent.kernels.nearness import beams_on_robots, place_readings, room_ahead, safe_share
 from limslam_env import RobotSpec
@@ -196,3 +197,9 @@ def test_beams_on_another_robot() -> None:
         np.testing.assert_array_equal(found, expected)
         seen += np.count_nonzero(found)
     assert 0 < seen < len(SEEDS) * BEAMS
+
+
+def test_equal_numbers_are_sorted_by_their_place() -> None:
+    for size in range(70):
+        values = np.random.default_rng(size).integers(0, 20, size).astype(float)
+        np.testing.assert_array_equal(order_of(values), np.argsort(values, kind="stable"))

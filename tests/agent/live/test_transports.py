@@ -247,4 +247,4 @@ def test_what_is_wrong_with_a_line_is_said_while_no_robot_answers(line, words):
         robot.sendto(line, ("127.0.0.1", transport.port))
         with pytest.raises(NoRobotError, match=re.escape(words)) as refused:
             Link(transport).first_hello(0.1)
-    assert "1 line was not readable" in str(refused.value)
+    assert "1 line not readable" in str(refused.value)

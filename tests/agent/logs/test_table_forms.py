@@ -82,6 +82,13 @@ TICKS = np.cumsum(WHEELS, axis=0) / 0.0001
             },
             {"wheel_radius": WHEEL_RADIUS},
         ),
+        (
+            {
+                "left_wheel_joint_rad": np.cumsum(LEFT) / WHEEL_RADIUS,
+                "right_wheel_joint_rad": np.cumsum(RIGHT) / WHEEL_RADIUS,
+            },
+            {"wheel_radius": WHEEL_RADIUS, "accumulated": True},
+        ),
         ({"v": FORWARD / PERIOD, "omega": TURN / PERIOD}, {}),
         (
             {"speed [cm/s]": 100 * FORWARD / PERIOD, "gz_dps": np.degrees(TURN) * 10},
@@ -149,6 +156,23 @@ def test_wheels_go_before_poses_where_the_robot_is_described(write):
     assert poses.notes == ("2 columns are not used: left, right",)
 
 
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"left_speed": SPEEDS[:, 0], "right_speed": SPEEDS[:, 1]},
+        {"distance": FORWARD, "angle": TURN},
+    ],
+)
+def test_a_row_that_comes_late_stands_in_its_order(write, columns):
+    head, *rows = table(columns).splitlines()
+    for late in (10, 30, 32):
+        rows[late - 1], rows[late] = rows[late], rows[late - 1]
+    log = read_log(write("\n".join([head, *rows])), table=TableOptions(ROBOT))
+    assert_allclose(log.wheels[1:], WHEELS[1:], atol=2e-7)
+    assert_allclose(log.time, TIME, atol=1e-9)
+    assert_allclose(log.ranges, RANGES, atol=1e-6)
+
+
 def test_options_of_ticks_are_not_used_for_speeds(write):
     path = write(table({"left_speed": SPEEDS[:, 0], "right_speed": SPEEDS[:, 1]}))
     log = read_log(path, table=TableOptions(ROBOT, 0.0005, accumulated=True))
@@ -194,9 +218,15 @@ def test_the_unit_of_times_is_found_from_the_spacing_of_the_rows(write, unit, se
     assert log.notes[0].startswith(f"the times are read in {unit}, since the rows are")
 
 
-@pytest.mark.parametrize("clock", ["2026-11-28T{}", "2026-11-28 {}", "2026-11-28T{}Z", "{}"])
+@pytest.mark.parametrize(
+    "clock",
+    [
+        *("2026-11-28T{}", "2026-11-28 {}", "2026-11-28T{}Z", "{}"),
+        *("28/11/2026 {}", "1/28/2026 {} PM", "28.11.2026 {}", "{} am"),
+    ],
+)
 def test_times_of_the_calendar_are_read(write, clock):
-    times = [clock.format(f"14:00:{second:04.1f}") for second in np.arange(0, 50, 0.5)]
+    times = [clock.format(f"12:00:{second:04.1f}") for second in np.arange(0, 50, 0.5)]
     rows = (f"{time},{row},0,0,1\n" for row, time in enumerate(times))
     log = read_log(write("time,x,y,theta,r_0\n", *rows))
     assert_allclose(np.diff(log.time), 0.5, atol=1e-6)
@@ -278,6 +308,8 @@ def labelled(form):
             for record in records
         ]
         return "[" + ",".join(map(json.dumps, nested)) + "]"
+    if form == "python":
+        return "\n".join(str(record | {"voltage": None}) for record in records)
     if form == "json lines":
         return "\n".join(map(json.dumps, records))
     return "\n".join(
@@ -287,13 +319,38 @@ def labelled(form):
 
 
 @pytest.mark.parametrize(
-    "form", [(":", " "), (":", ","), ("=", "\t"), (": ", ", "), "json lines", "json"]
+    "form", [(":", " "), (":", ","), ("=", "\t"), (": ", ", "), "json lines", "json", "python"]
 )
 def test_names_may_stand_beside_the_values(write, form):
     log = read_log(write(labelled(form), name="drive.txt"), table=TableOptions(ROBOT))
     assert_allclose(log.wheels[1:], WHEELS[1:])
     assert_allclose(log.time, TIME)
     assert_allclose(log.ranges, RANGES, atol=1e-6)
+
+
+@pytest.mark.parametrize("form", [',"[{}]"', ',"({})"', ";[{}]"])
+def test_a_scan_may_stand_in_one_field(write, form):
+    numbers = np.column_stack([TIME, POSES]).tolist()
+    mark = form[0]
+    rows = [
+        mark.join(f"{value:.9g}" for value in row)
+        + form.format(" ".join(f"{value:.6f}," for value in scan).strip(","))
+        for row, scan in zip(numbers, RANGES.tolist(), strict=True)
+    ]
+    rows[0] = rows[0].replace(f"{RANGES[0, 0]:.6f}", "inf")
+    names = mark.join(("t", "x", "y", "theta", "ranges"))
+    log = read_log(write("\n".join([names, *rows])), table=TableOptions(ROBOT))
+    assert_allclose(log.ranges[1:], RANGES[1:], atol=1e-6)
+    assert len(log.notes) == 1  # the beams are those of the robot
+
+
+def test_the_clock_of_a_serial_monitor_is_a_time(write):
+    lines = labelled((":", " ")).splitlines()
+    clock = [f"14:03:{5 + seconds:06.3f} -> " for seconds in TIME.tolist()]
+    rows = [now + line.partition(" ")[2] for now, line in zip(clock, lines, strict=True)]
+    log = read_log(write("\n".join(rows), name="drive.txt"), table=TableOptions(ROBOT))
+    assert_allclose(np.diff(log.time), PERIOD, atol=1e-6)
+    assert_allclose(log.wheels[1:], WHEELS[1:])
 
 
 def test_a_first_line_that_is_cut_does_not_name_the_columns(write):

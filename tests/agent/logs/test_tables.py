@@ -204,6 +204,13 @@ def test_a_sparse_heading_goes_on_where_a_log_begins_again(write):
     assert np.diff(known)[29] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_rows_of_a_clock_of_whole_seconds_are_evenly_apart(write):
+    rows = (f"14:03:{5 + row // 10:02d},0.01,0.01,1.{row}\n" for row in range(7, 405))
+    log = read_log(write(AHEAD, *rows), table=ONE_BEAM)
+    assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
+    assert log.notes == ("9.7 rows on average have the same time: they are taken evenly apart",)
+
+
 def test_a_clock_of_the_day_goes_on_after_midnight(write):
     rows = [f"23:59:{58.0 + 0.1 * row:.1f},0,0,1.5\n" for row in range(20)]
     rows += [f"00:00:0{0.1 * row:.1f},0,0,1.5\n" for row in range(20)]

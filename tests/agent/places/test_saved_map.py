@@ -156,7 +156,7 @@ def damage(name, content):
         (damage("map.json", '{"segments": [], "landmarks": []}'), "has no walls"),
         (
             damage("map.json", '{"segments": [[0, 0, 1, NaN]], "landmarks": []}'),
-            "are not rows of four numbers",
+            "must be finite",
         ),
         (
             damage("map.json", f'{{"segments": {[[0, 0, 1, 1]] * 20_001}, "landmarks": []}}'),

@@ -91,3 +91,14 @@ def test_the_example_in_a_file_explores_a_room():
     assert coverage > 0.8
     assert contacts == 0
     assert policy.stop_reason is not None
+
+
+def test_a_planner_without_a_pose_is_refused():
+    class Blind:
+        def target(self, grid):
+            return grid
+
+    with pytest.raises(
+        ValueError, match=r"^Blind makes no policy: a planner has target\(grid, pose\)"
+    ):
+        TargetPolicy(Blind())

@@ -446,16 +446,10 @@ def test_more_robots_than_have_room_are_refused():
         env.reset(seed=0)
 
 
-@pytest.mark.parametrize("robots", [0, 9, -1])
-def test_a_number_of_robots_that_cannot_be_is_refused(robots):
-    with pytest.raises(ValueError, match=f"there can be 1 to 8 robots, not {robots}"):
-        LimSlamParallelEnv("env1", num_robots=robots)
-
-
 @pytest.mark.parametrize("cycles", [0, -5])
 def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
     with pytest.raises(
-        ValueError, match=f"max_cycles must be a whole number, 1 or more, or None, not {cycles}"
+        ValueError, match=f"max_cycles must be a whole number from 1 to 1000000000, not {cycles}"
     ):
         LimSlamParallelEnv("env1", max_cycles=cycles)
 

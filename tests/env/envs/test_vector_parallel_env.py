@@ -129,7 +129,7 @@ def test_episodes_end_for_all_robots_at_once(mode):
 
 
 def test_bad_arguments_and_actions_are_refused():
-    with pytest.raises(ValueError, match="1 to 8 robots"):
+    with pytest.raises(ValueError, match="robots must be a whole number from 1 to 8"):
         LimSlamParallelVectorEnv("env1", 2, num_robots=9)
     env = LimSlamParallelVectorEnv("env1", 2)
     with pytest.raises(gym.error.ResetNeeded):

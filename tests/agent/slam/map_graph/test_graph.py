@@ -18,7 +18,7 @@ from limslam_agent.slam.map_graph.chunk_graph import (
     Hops,
     solve_annealed,
 )
-from limslam_agent.slam.map_graph.factors import odometry, point_link, point_on_wall
+from limslam_agent.slam.map_graph.factors import odometry, point_link, point_on_wall, wall_on_axes
 from limslam_agent.slam.map_graph.joined_map import loop_to_joined
 from limslam_agent.slam.map_graph.key_poses import (
     ERRORS,
@@ -232,6 +232,24 @@ def test_wall_jacobian():
     unknowns = np.append(pose, [0.0, 0.0])
     wanted = central_differences(lambda each: factor(each).errors[0, 0], unknowns)
     assert np.allclose(factor(unknowns).jacobian[0, 0], wanted, atol=1e-6)
+
+
+def test_most_walls_stand_on_the_axes_of_the_building():
+    # Walls that face all four ways, half a degree off at most, and an oblique one with few points
+    off = np.radians([0.5, -0.3, 0.1, -0.3, 31.0])
+    axes = 0.7 + np.radians([0.0, 90.0, 180.0, -90.0, 0.0])
+    lines = np.repeat(np.arange(5), [20, 20, 20, 20, 5])
+    walls = WallLines(axes + off, np.zeros((5, 2)), np.arange(len(lines)), lines)
+    factors = wall_on_axes(walls, 0.01)
+    assert np.allclose(0.01 * factors.errors[:, 0], off, atol=2e-3)
+    graph = Graph(Nodes(walls=(5, 2), axes=(1, 1)), order=np.arange(11))
+    graph.add_robust(factors, geman_mcclure(2.0))
+    graph.add(prior("walls", np.zeros((5, 2)), 1e4 * np.eye(2)))
+    graph.add(prior("axes", np.zeros((1, 1)), np.eye(1)))
+    # All but the oblique wall turn about half of the way.
+    turns = graph.solve()[:10:2]
+    assert abs(turns[4]) < 1e-4
+    assert np.all(np.abs(turns[[0, 1, 3]] + 0.5 * off[[0, 1, 3]]) < 0.002)
 
 
 def test_robust_factors_are_summed_with_their_weights():
