@@ -25,8 +25,8 @@ from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.run import FilteredRun, SmoothedRun
 from limslam_agent.slam.line_graph.smoother import smooth_run
-from limslam_agent.slam.map_graph.chunk_graph import KEPT
 from limslam_agent.slam.map_graph.key_poses import LogData
+from limslam_agent.slam.map_graph.loops import KEPT
 from limslam_agent.slam.map_graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.map_graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.map_graph.stages import GraphResult, Report, by_odometry, rounds

@@ -13,7 +13,6 @@ from limslam_agent.replay.record import Replay
 from limslam_agent.replay.smoothing import draw_grid, draw_walls, ends_of, loop_records
 from limslam_agent.replay.trust import path_signals
 from limslam_agent.slam.map_graph.agreement import visit_counts
-from limslam_agent.slam.map_graph.chunk_graph import KEPT
 from limslam_agent.slam.map_graph.key_poses import (
     ERRORS,
     LogData,
@@ -22,6 +21,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     corrected,
     odometry_trajectory,
 )
+from limslam_agent.slam.map_graph.loops import KEPT
 from limslam_agent.slam.map_graph.point_links import point_cloud
 from limslam_agent.slam.map_graph.smoothing import smooth_locally
 from limslam_agent.slam.map_graph.stages import (

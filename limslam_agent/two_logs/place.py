@@ -16,7 +16,7 @@ from limslam_agent.places.localisation import LARGEST_RUNNER_UP, LEAD, KnownPlac
 from limslam_agent.record import Scan
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.map_graph.agreement import agree
+from limslam_agent.slam.map_graph.loops import agree
 from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2

@@ -66,6 +66,11 @@ def cauchy(scale: float) -> RobustKernel:
     return lambda chi2: 1.0 / (1.0 + chi2 / scale)
 
 
+def cauchy_cost(scale: float, chi2: FloatArray) -> FloatArray:
+    """What factors (f,) with these chi-squares cost by the Cauchy kernel."""
+    return np.asarray(scale * np.log1p(chi2 / scale))
+
+
 def dynamic_covariance_scaling(scale: float) -> RobustKernel:
     """The kernel of P. Agarwal et al., "Robust map optimization using dynamic covariance scaling",
     2013, with a scale as a chi-square.

@@ -1,20 +1,16 @@
-"""Agreement without ground truth: between loops, and between the observations of one place by
-different visits.
-
-Scores of right and wrong matches overlap, so that no threshold separates them. Agreement between
-two loops does separate them.
+"""Agreement without ground truth: of loops along a corridor, and of what different visits of one
+place have observed.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limslam_agent.config.graph import LocalMapConfig
-from limslam_agent.slam.map_graph.chunk_graph import Loop, relations_of
 from limslam_agent.slam.map_graph.key_poses import APART, KeyPoses, Trajectory
 from limslam_agent.slam.map_graph.local_maps import LocalMap, chunk_middles, cut_chunks
+from limslam_agent.slam.map_graph.loops import Loop, relations_of
 from limslam_agent.slam.map_graph.matching import (
     FAR_CELLS,
     SEEN,
@@ -24,58 +20,14 @@ from limslam_agent.slam.map_graph.matching import (
     search_grid,
     variance_along,
 )
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+from limslam_env.geometry import FloatArray, IntArray, se2
 
-# Two poses agree within these tolerances, m and rad.
-_DISTANCE = 0.6
-_TURN = math.radians(9.0)
-_SUPPORT_HOPS = 3  # chunks, at most, between the ends of loops that support each other
-_SLACK = 0.3  # m, by which a hop is longer or shorter, since chunks begin with key poses
-_AS_WELL = 9.0  # largest variance of a loop that supports another, in variances of that one
 # Loops are free along a corridor from this share of the largest variance on. They are judged with
 # those of the chunks up to so many m of driving before and after, in some steps.
 _FREE = 0.5
 _ROW = 12.5
 _SHIFTS = 3
 _STRETCH = 2  # chunks before and after a chunk
-
-
-def agree(predicted: FloatArray, found: FloatArray, apart: FloatArray | float = 0.0) -> BoolArray:
-    """Which of the poses (..., 3) are where they are predicted.
-
-    The prediction may bridge a distance of ``apart`` (...) m in a map, each part of which may be
-    bent.
-    """
-    off = se2.between(predicted, found)
-    near = np.hypot(off[..., 0], off[..., 1]) < _DISTANCE + _TURN * apart
-    return np.asarray(near & (np.abs(off[..., 2]) < _TURN))
-
-
-def supported(
-    loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, hop: float
-) -> BoolArray:
-    """Which loops (k,) are supported by another nearby loop that agrees, is known about as well,
-    and belongs to another chunk.
-
-    ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to
-    each chunk, m, which is about a ``hop`` longer for each.
-    """
-    if not loops:
-        return np.zeros(0, dtype=np.bool_)
-    first, second = np.array([(loop.first, loop.second) for loop in loops]).T
-    relative = np.array([loop.relative for loop in loops])
-    # Each loop (row) predicts each other one (column).
-    before = se2.between(poses[first][None], poses[first][:, None])
-    after = se2.between(poses[second][:, None], poses[second][None])
-    predicted = se2.compose(se2.compose(before, relative[:, None]), after)
-    gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
-    most = _SUPPORT_HOPS * hop + _SLACK
-    near = (gaps[0] <= most) & (gaps[1] >= hop - _SLACK) & (gaps[1] <= most)
-    # A loop that is free along a corridor agrees with any place along it.
-    covariances = np.linalg.inv([loop.information for loop in loops])
-    variances = np.trace(covariances[:, :2, :2], axis1=1, axis2=2)
-    near &= variances[:, None] <= _AS_WELL * variances
-    return np.asarray((near & agree(predicted, relative[None])).any(axis=0))
 
 
 def judged_together(

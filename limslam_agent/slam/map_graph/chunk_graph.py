@@ -19,11 +19,12 @@ from functools import lru_cache
 import numpy as np
 
 from limslam_agent.config.graph import LocalMapConfig
-from limslam_agent.slam.graph.factors import Relations, cauchy, relation
+from limslam_agent.slam.graph.factors import cauchy, cauchy_cost, relation
 from limslam_agent.slam.graph.graph import Factors, Graph, Nodes
-from limslam_agent.slam.map_graph.factors import loop_kernel
+from limslam_agent.slam.map_graph.factors import loop_cost, loop_kernel
 from limslam_agent.slam.map_graph.key_poses import KeyPoses, Trajectory, integrate
 from limslam_agent.slam.map_graph.local_maps import LocalMap
+from limslam_agent.slam.map_graph.loops import SUPPORT_HOPS, Loop, agree, relations_of, supported
 from limslam_agent.slam.map_graph.matching import (
     Match,
     SearchGrid,
@@ -63,27 +64,8 @@ SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
 _BACKWARD_WINDOW = Window(0.3, math.radians(4.0))
-
-
 # chunks in which the newest one is searched, and search grids that are kept, 0.2 MB each
 _MOST_SEARCHED = 150
-
-NO_SUPPORT = "no other loop nearby agrees"
-OUTVOTED = "its weight in the graph of chunks is too low"
-KEPT = "kept"
-
-
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A relative pose between two chunks."""
-
-    # first, second: the chunk whose grid was searched, and the chunk whose points were matched
-    first: int
-    second: int
-    relative: FloatArray  # pose (3,) of the second chunk in the frame of the first chunk
-    information: FloatArray  # inverse (3, 3) of the covariance of the relative pose
-    score: float  # score of the match
-    reason: str = ""  # ``KEPT``, or why the loop is no part of the result
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +83,6 @@ def inflated(covariances: FloatArray) -> FloatArray:
     outweighed by the hops.
     """
     return _HOP_INFLATION * covariances + np.diag([_HOP_POSITION**2] * 2 + [_HOP_TURN**2])
-
-
-def relations_of(loops: Sequence[Loop]) -> Relations:
-    """Loops as relations between chunks."""
-    ends = np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)
-    relative = np.array([loop.relative for loop in loops]).reshape(-1, 3)
-    return ends, relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
 
 
 def solve_annealed(
@@ -152,6 +127,15 @@ def _solved(
     return poses, graph, weights
 
 
+def _cost(poses: FloatArray, hops: Hops, loops: Sequence[Loop]) -> float:
+    """What all errors of hops and loops cost by their kernels, as a chi-square."""
+    first = np.arange(len(poses) - 1)
+    certainty = np.asarray(np.linalg.inv(hops.covariances))
+    bent = relation(poses, np.column_stack((first, first + 1)), hops.motions, certainty)
+    closures = relation(poses, *relations_of(loops))
+    return float(cauchy_cost(_HOP_KERNEL, bent.chi2).sum() + loop_cost(closures.chi2).sum())
+
+
 def carry_over(
     keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses: FloatArray
 ) -> Trajectory:
@@ -185,9 +169,13 @@ class ChunkGraph:
         The first chunk and its pose (3,), which is fixed.
     config
         The settings of chunks.
+    judged_later
+        Whether all loops are judged once all are found. Until then, all of them count.
 
     Attributes
     ----------
+    config
+        The settings of chunks.
     maps
         The c chunks.
     poses
@@ -195,16 +183,28 @@ class ChunkGraph:
     hops
         Motions from each chunk to the next.
     loops
-        All loops that the search has accepted, both right and wrong.
+        All loops that were found, both right and wrong.
+    counting
+        Those of them with which the graph is solved. The others wait for one that agrees.
     """
 
-    def __init__(self, chunk: LocalMap, pose: FloatArray, config: LocalMapConfig) -> None:
+    def __init__(
+        self,
+        chunk: LocalMap,
+        pose: FloatArray,
+        config: LocalMapConfig,
+        *,
+        judged_later: bool = False,
+    ) -> None:
         self.maps = [chunk]
         self.poses = pose[None]
         self.hops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3)))
         self.loops = list[Loop]()
+        self.counting = list[Loop]()
+        self._waiting = list[Loop]()
+        self._judged_later = judged_later
         self._graph: Graph | None = None  # that of the poses
-        self._config = config
+        self.config = config
         self._grid = lru_cache(_MOST_SEARCHED)(self._search_grid)
 
     @property
@@ -237,7 +237,7 @@ class ChunkGraph:
         if len(self.poses) == 1:
             return np.zeros((*factors.errors.shape, factors.errors.shape[1]))
         if self._graph is None:
-            _, self._graph, _ = _solved(self.poses, self.hops, self.loops, ())
+            _, self._graph, _ = _solved(self.poses, self.hops, self.counting, ())
         return self._graph.covariances(factors)
 
     def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
@@ -258,15 +258,50 @@ class ChunkGraph:
             self.close(found)
 
     def close(self, found: Sequence[Loop]) -> None:
-        """Add loops and solve the graph."""
+        """Add loops, and solve the graph with those that count.
+
+        If a loop that has begun to count is refused near the poses so far, the graph is also solved
+        from the chain of hops on. Of both solutions, the one is taken that costs less.
+        """
         self.loops += found
-        self.poses, self._graph, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
+        begun = self._begin_to_count(found)
+        loops = self.counting
+        self.poses, self._graph, weights = _solved(self.poses, self.hops, loops, _ANNEALING[-2:])
+        if (weights[len(loops) - begun :] < KEPT_WEIGHT).any():
+            chain = integrate(self.poses[0], self.hops.motions)
+            poses, graph, _ = _solved(chain, self.hops, loops, _ANNEALING)
+            if _cost(poses, self.hops, loops) < _cost(self.poses, self.hops, loops):
+                self.poses = poses
+                self._graph = graph
+
+    def _begin_to_count(self, found: Sequence[Loop]) -> int:
+        """How many of the loops that were found, or that have waited, count from now on: those that
+        are not doubtful, and those with which the graph or another loop agrees.
+        """
+        if self._judged_later:
+            self.counting += found
+            return 0
+        waiting = [*self._waiting, *found]
+        travel = np.array([each.travel for each in self.maps])
+        # A loop is supported by loops of a few chunks before and after.
+        recent = [each for each in self.loops if each.second >= len(travel) - 2 * SUPPORT_HOPS - 1]
+        good = supported(recent, self.poses, travel, self.config.hop)
+        agreed = {loop for loop, is_good in zip(recent, good, strict=True) if is_good}
+        ends, relative, _ = relations_of(waiting)
+        near = agree(se2.between(*self.poses[ends.T]), relative)
+        counts = [
+            is_near or not loop.is_doubtful or loop in agreed
+            for loop, is_near in zip(waiting, near, strict=True)
+        ]
+        self.counting += [loop for loop, each in zip(waiting, counts, strict=True) if each]
+        self._waiting = [loop for loop, each in zip(waiting, counts, strict=True) if not each]
+        return sum(counts)
 
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""
         newest = len(self.maps) - 1
         travel = np.array([each.travel for each in self.maps])
-        is_old = travel[newest] - travel[: newest - 1] >= self._config.another_visit
+        is_old = travel[newest] - travel[: newest - 1] >= self.config.another_visit
         old = np.flatnonzero(is_old)
         guesses = se2.between(self.poses[old], self.poses[newest])
         searched = _some_near(np.hypot(guesses[:, 0], guesses[:, 1]))
@@ -276,20 +311,22 @@ class ChunkGraph:
         guesses = guesses[searched]
         position_std, turn_std = self._stds_from(old)
         # Chunks within a hop show the same place, however well their poses are known.
-        near = np.hypot(guesses[:, 0], guesses[:, 1]) <= self._config.hop + _SIGMAS * position_std
+        near = np.hypot(guesses[:, 0], guesses[:, 1]) <= self.config.hop + _SIGMAS * position_std
         points = self.maps[newest].points
-        matches = list[tuple[Match, int]]()
+        matches = list[tuple[Match, int, bool]]()
         for row in np.flatnonzero(near):
             window = search_window(position_std[row], turn_std[row])
             first = int(old[row])
             # A match that is worse than all that are kept is of no use.
             least = matches[-1][0].score if len(matches) == _BEST else SCORES[0]
             best = match(self._grid(first), points, guesses[row], window, max(least, SCORES[0]))
-            matches = sorted([*matches, (best, first)], key=lambda each: -each[0].score)[:_BEST]
-        loops = [self._loop(first, newest, best) for best, first in matches]
+            # In a window that is cut, the place may well lie outside of it.
+            found = best, first, window.shift >= _MOST_SHIFT
+            matches = sorted([*matches, found], key=lambda each: -each[0].score)[:_BEST]
+        loops = [self._loop(first, newest, best, is_cut) for best, first, is_cut in matches]
         return [loop for loop in loops if loop is not None]
 
-    def _loop(self, first: int, second: int, best: Match) -> Loop | None:
+    def _loop(self, first: int, second: int, best: Match, is_doubtful: bool) -> Loop | None:
         """A loop with the covariance of its match; None if the chunks do not match in both
         directions.
         """
@@ -303,7 +340,8 @@ class ChunkGraph:
             return None
         points = self.maps[second].points
         mean, covariance = match_covariance(self._grid(first), points, best.pose, (back, others))
-        return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), best.score)
+        information = np.asarray(np.linalg.inv(covariance))
+        return Loop(first, second, mean, information, best.score, is_doubtful)
 
     def _stds_from(self, old: IntArray) -> tuple[FloatArray, FloatArray]:
         """Standard deviations (k,), m and rad, of the newest chunk's pose in the frames of old
@@ -345,7 +383,7 @@ def search_loops(
     """All loops that the search accepts between chunks (c,), of which the first one has the pose
     ``start`` (3,).
     """
-    graph = ChunkGraph(maps[0], start, config)
+    graph = ChunkGraph(maps[0], start, config, judged_later=True)
     for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
         graph.add(chunk, motion[None], covariance)
     return graph.loops

@@ -23,6 +23,14 @@ def loop_kernel(widening: float = 1.0) -> RobustKernel:
     return dynamic_covariance_scaling(_LOOP_KERNEL * widening)
 
 
+def loop_cost(chi2: FloatArray) -> FloatArray:
+    """What loops (f,) with these chi-squares cost by their kernel, whose weights are the
+    derivatives: at most three times its scale.
+    """
+    far = 3.0 - 4.0 * _LOOP_KERNEL / (_LOOP_KERNEL + chi2)
+    return np.asarray(np.where(chi2 < _LOOP_KERNEL, chi2, _LOOP_KERNEL * far))
+
+
 def odometry(keys: KeyPoses, trajectory: Trajectory) -> Factors:
     """The motions by odometry between key poses, which depend on its constant errors."""
     first = np.arange(len(keys) - 1)

@@ -13,10 +13,10 @@ from limslam_agent.slam.graph.factors import relation
 from limslam_agent.slam.map_graph.chunk_graph import (
     SCORES,
     ChunkGraph,
-    Loop,
     search_window,
 )
 from limslam_agent.slam.map_graph.local_maps import LocalMap, joined_grid
+from limslam_agent.slam.map_graph.loops import Loop
 from limslam_agent.slam.map_graph.matching import match, match_covariance, search_grid
 from limslam_env.geometry import FloatArray, se2
 
@@ -31,7 +31,7 @@ _VAGUE = 10.0
 
 
 def loop_to_joined(
-    places: ChunkGraph, drawn: LocalMap, motion: FloatArray, own: FloatArray, another_visit: float
+    places: ChunkGraph, drawn: LocalMap, motion: FloatArray, own: FloatArray
 ) -> tuple[Loop, FloatArray] | None:
     """A loop from the chunk that is nearest to a local map, and the pose (3,) of the local map by
     the loop and by what was believed. None if it fits nowhere.
@@ -44,12 +44,10 @@ def loop_to_joined(
         The local map.
     motion, own
         Motion (3,) from the last chunk to the local map, and its covariance (3, 3).
-    another_visit
-        Least distance driven since an earlier visit, m.
     """
     newest = len(places.maps) - 1
     travel = np.array([each.travel for each in places.maps])
-    old = np.flatnonzero(drawn.travel - travel >= another_visit)
+    old = np.flatnonzero(drawn.travel - travel >= places.config.another_visit)
     believed = se2.compose(places.poses[newest], motion)
     old = old[np.argsort(_distances(believed, places.poses[old]), kind="stable")]
     if not len(old) or _distances(believed, places.poses[old[:1]])[0] > _WITHIN:

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
-from limslam_agent.slam.map_graph.chunk_graph import ChunkGraph, Loop, inflated
+from limslam_agent.slam.map_graph.chunk_graph import ChunkGraph, inflated
 from limslam_agent.slam.map_graph.joined_map import loop_to_joined
 from limslam_agent.slam.map_graph.key_poses import (
     KEY_DISTANCE,
@@ -27,6 +27,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     motion_variances,
 )
 from limslam_agent.slam.map_graph.local_maps import LocalMap, cut_chunks
+from limslam_agent.slam.map_graph.loops import Loop
 from limslam_agent.slam.map_graph.reversing import AFTER, LEAST_LENGTH, driven_backwards
 from limslam_agent.slam.map_graph.window import (
     LocalFrame,
@@ -295,8 +296,7 @@ class OnlineGraph:
         last = int(frame.keys.event_key[self._middles[-1] - frame.first])
         own = np.diag(frame.keys.step_variances[last:key].sum(axis=0))
         motion = between(frame.trajectory.poses[last], frame.trajectory.poses[key])
-        visit = self._config.maps.another_visit
-        return loop_to_joined(self.places, drawn, motion, own, visit)
+        return loop_to_joined(self.places, drawn, motion, own)
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -374,7 +374,7 @@ class OnlineGraph:
             self.places.add(chunk, motions, own)
         self._middles.append(event)
         # Another visit may have seen less of this place from each of its chunks than from all.
-        if not any(each.second == len(self.places.maps) - 1 for each in self.places.loops):
+        if not any(each.second == len(self.places.maps) - 1 for each in self.places.counting):
             found = self._in_joined_map(frame, key, chunk)
             if found is not None:
                 self.places.close([found[0]])

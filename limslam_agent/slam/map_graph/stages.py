@@ -12,17 +12,12 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.factors import Relations
-from limslam_agent.slam.map_graph.agreement import judged_together, supported, visit_counts
+from limslam_agent.slam.map_graph.agreement import judged_together, visit_counts
 from limslam_agent.slam.map_graph.chunk_graph import (
-    KEPT,
     KEPT_WEIGHT,
-    NO_SUPPORT,
-    OUTVOTED,
     Hops,
-    Loop,
     carry_over,
     inflated,
-    relations_of,
     search_loops,
     solve_annealed,
 )
@@ -38,6 +33,14 @@ from limslam_agent.slam.map_graph.key_poses import (
     odometry_trajectory,
 )
 from limslam_agent.slam.map_graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.map_graph.loops import (
+    KEPT,
+    NO_SUPPORT,
+    OUTVOTED,
+    Loop,
+    relations_of,
+    supported,
+)
 from limslam_agent.slam.map_graph.posterior import (
     covariance_in,
     with_learned_errors,

@@ -12,11 +12,10 @@ from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig,
 from limslam_agent.slam.graph.factors import geman_mcclure, prior, relation
 from limslam_agent.slam.graph.graph import DegenerateError, Factors, Graph, Nodes
 from limslam_agent.slam.map_graph import matching
-from limslam_agent.slam.map_graph.agreement import VisitCounts, judged_together, supported
+from limslam_agent.slam.map_graph.agreement import VisitCounts, judged_together
 from limslam_agent.slam.map_graph.chunk_graph import (
     ChunkGraph,
     Hops,
-    Loop,
     solve_annealed,
 )
 from limslam_agent.slam.map_graph.factors import odometry, point_link, point_on_wall, wall_on_axes
@@ -34,6 +33,7 @@ from limslam_agent.slam.map_graph.key_poses import (
     odometry_trajectory,
 )
 from limslam_agent.slam.map_graph.local_maps import HIT, LocalMap, draw_grid, thinned
+from limslam_agent.slam.map_graph.loops import Loop, supported
 from limslam_agent.slam.map_graph.matching import (
     NO_MATCH,
     Window,
@@ -693,6 +693,42 @@ def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
 
 
+def driven_back(turned, std, count=14):
+    """The graph of a drive out and back, whose odometry has turned by an angle that is not true,
+    rad, in the last hop, which has a standard deviation, rad. Also the true poses.
+    """
+    truth = np.zeros((count, 3))
+    truth[:, 0] = 2.5 * np.minimum(np.arange(count), count - 1 - np.arange(count))
+    graph = ChunkGraph(blank_map(0), truth[0], MAPS)
+    for number in range(1, count):
+        motion = se2.between(truth[number - 1], truth[number])
+        stds = np.array([0.05, 0.05, 0.01])
+        if number == count - 3:
+            motion = motion + np.array([0.0, 0.0, turned])
+            stds[2] = std
+        graph.add(blank_map(number), motion[None], np.diag(stds**2))
+    return graph, truth
+
+
+@pytest.mark.parametrize(("std", "bounds"), [(0.7, (0.0, 0.3)), (0.05, (2.0, 6.0))])
+def test_a_loop_far_from_the_poses_counts_where_the_odometry_allows_it(std, bounds):
+    graph, truth = driven_back(0.7, std)
+    graph.close(loops_of(truth, [(0, 13)]))
+    off = np.hypot(*(graph.poses - truth)[13, :2])
+    assert bounds[0] <= off <= bounds[1]
+
+
+def test_a_doubtful_loop_counts_once_another_one_agrees():
+    graph, truth = driven_back(0.7, 0.7)
+    before = graph.poses
+    one, other = loops_of(truth, [(0, 13), (1, 12)])
+    graph.close([replace(one, is_doubtful=True)])
+    assert graph.poses == pytest.approx(before)
+    graph.close([replace(other, is_doubtful=True)])
+    assert graph.poses == pytest.approx(truth, abs=0.3)
+    assert len(graph.loops) == 2
+
+
 def test_a_local_map_fits_into_all_earlier_chunks_together():
     generator = np.random.default_rng(6)
     directions = generator.uniform(-np.pi, np.pi, 400)
@@ -711,13 +747,14 @@ def test_a_local_map_fits_into_all_earlier_chunks_together():
     for chunk in seen:
         grid = search_grid(chunk.grid, MAPS.cell, 1.0)
         assert match(grid, drawn.points, off, Window(1.0, 0.3), 0.0).score < 0.5
-    loop, pose = loop_to_joined(graph, drawn, np.zeros(3), exact, MAPS.another_visit)
+    loop, pose = loop_to_joined(graph, drawn, np.zeros(3), exact)
     assert (loop.first in range(3), loop.second, loop.score > 0.8) == (True, 3, True)
     assert loop.relative == pytest.approx(np.zeros(3), abs=0.1)
     # What was believed counts, too.
     assert pose == pytest.approx(np.zeros(3), abs=0.2)
     # What was seen a moment ago is no earlier visit.
-    assert loop_to_joined(graph, drawn, np.zeros(3), exact, 24.0) is None
+    latest = replace(drawn, travel=MAPS.another_visit - 0.1)
+    assert loop_to_joined(graph, latest, np.zeros(3), exact) is None
 
 
 def test_alignment_removes_what_moves_and_turns_all_positions():

@@ -17,8 +17,8 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.smoothing import log_data
-from limslam_agent.slam.map_graph.chunk_graph import KEPT
 from limslam_agent.slam.map_graph.key_poses import LogData, choose_keys, delayed, integrate
+from limslam_agent.slam.map_graph.loops import KEPT
 from limslam_agent.slam.map_graph.online import OnlineGraph
 from limslam_agent.slam.map_graph.reversing import (
     driven_backwards,
