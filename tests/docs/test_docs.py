@@ -129,18 +129,24 @@ def test_the_page_lists_the_public_names(package):
     assert documented(package.__name__) == set(package.__all__)
 
 
-def commands(group: Any, path: str) -> Iterator[str]:
-    """Each command of the command line."""
+def commands(group: Any, path: str) -> Iterator[tuple[str, set[str]]]:
+    """Each command of the command line with its options."""
     for name, command in group.commands.items():
         if getattr(command, "commands", None):
             yield from commands(command, f"{path} {name}")
         if not getattr(command, "no_args_is_help", False):
-            yield f"{path} {name}"
+            found = {
+                max(part.opts, key=len)
+                for part in command.params
+                if part.param_type_name == "option"
+            }
+            yield f"{path} {name}", found - {"--help"}
 
 
-def test_the_page_lists_each_command():
-    told = re.findall(r"^\| `(limslam [a-z ]+)` \|", PAGE, re.MULTILINE)
-    assert sorted(told) == sorted(commands(typer.main.get_command(app), "limslam"))
+def test_the_page_lists_each_command_with_its_options():
+    rows = re.findall(r"^\| `(limslam [a-z ]+)` \| [^|]+ \| ([^|]+) \|$", PAGE, re.MULTILINE)
+    told = {command: set(re.findall(r"--[a-z0-9-]+", options)) for command, options in rows}
+    assert told == dict(commands(typer.main.get_command(app), "limslam"))
 
 
 # Only what travels with the tests can be looked for outside of a checkout.

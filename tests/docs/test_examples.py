@@ -148,6 +148,7 @@ NEEDS = {
     "rl_batch": ["stable_baselines3", "sb3_contrib"],
     "rl_two_robots": ["stable_baselines3", "supersuit"],
     "rl_cleanrl": ["torch"],
+    "rl_torchrl": ["torchrl"],
 }
 
 
@@ -159,7 +160,7 @@ def test_no_example_is_left_out():
 def test_it_learns_for_some_steps(name, tmp_path):
     path = EXAMPLES / f"{name}.py"
     if missing := [library for library in NEEDS[name] if find_spec(library) is None]:
-        pytest.skip(f'needs {", ".join(missing)}: pip install "limslam[rl]"')
+        pytest.skip(f'needs {", ".join(missing)}: pip install "limslam[rl]", or TorchRL on its own')
     few = ["--plans", "1"] if name in {"rl_batch", "rl_sb3", "rl_cleanrl"} else []
     few += ["--envs", "4"] if name == "rl_batch" else []
     command = [sys.executable, str(path), "--steps", "256", *few]

@@ -60,6 +60,8 @@ _SIGMAS = 2.5
 _MOST_DISTANCE = 12.0
 _MOST_SHIFT = 6.0
 _MOST_TURN = math.radians(90.0)
+# Chi-square by which another solution must cost less, before the path jumps to it
+_CLEAR_GAIN = 4.0
 SCORES = 0.50, 0.40
 """Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
@@ -261,7 +263,7 @@ class ChunkGraph:
         """Add loops, and solve the graph with those that count.
 
         If a loop that has begun to count is refused near the poses so far, the graph is also solved
-        from the chain of hops on. Of both solutions, the one is taken that costs less.
+        from the chain of hops on. That solution is taken if it clearly costs less.
         """
         self.loops += found
         begun = self._begin_to_count(found)
@@ -270,7 +272,8 @@ class ChunkGraph:
         if (weights[len(loops) - begun :] < KEPT_WEIGHT).any():
             chain = integrate(self.poses[0], self.hops.motions)
             poses, graph, _ = _solved(chain, self.hops, loops, _ANNEALING)
-            if _cost(poses, self.hops, loops) < _cost(self.poses, self.hops, loops):
+            gain = _cost(self.poses, self.hops, loops) - _cost(poses, self.hops, loops)
+            if gain > _CLEAR_GAIN:
                 self.poses = poses
                 self._graph = graph
 
