@@ -4,6 +4,8 @@ The nodes are the key poses, the constant errors of odometry, and the walls, eac
 a turn about its centre, and an offset.
 """
 
+import math
+
 import numpy as np
 
 from limslam_agent.slam.graph.factors import dynamic_covariance_scaling, geman_mcclure, relation
@@ -87,10 +89,10 @@ def point_on_wall(poses: FloatArray, cloud: PointCloud, walls: WallLines, std: f
 
 
 def wall_on_axes(walls: WallLines, std: float) -> Factors:
-    """Turns of walls from the axes of the building, to which most walls are parallel.
+    """Turns of walls from that of both axes of the building to which they are parallel.
 
-    The axes are those of the most points, and their turn is an unknown. ``std`` (rad) is the
-    standard deviation of each wall.
+    The axes are about at right angles, where most points say so, and the turn of each is an
+    unknown. ``std`` (rad) is the standard deviation of each wall.
     """
     count = len(walls.angles)
     turns = np.exp(4j * walls.angles)
@@ -99,9 +101,11 @@ def wall_on_axes(walls: WallLines, std: float) -> Factors:
     for width in _AXES_WIDTHS:
         near = geman_mcclure(4.0 * width)(np.angle(turns * middle.conj()) ** 2)
         middle = np.sum(weights * near * turns)
+    off = np.angle(turns * middle.conj()) / 4.0
+    quarters = np.round((walls.angles - off - np.angle(middle) / 4.0) / (0.5 * math.pi))
     jacobian = np.tile([1.0, 0.0, -1.0], (count, 1))
-    keys: Keys = (("walls", np.arange(count)), ("axes", np.zeros(count, dtype=np.int64)))
-    return _in_stds(keys, np.angle(turns * middle.conj()) / 4.0, jacobian, std)
+    keys: Keys = (("walls", np.arange(count)), ("axes", quarters.astype(np.int64) % 2))
+    return _in_stds(keys, off, jacobian, std)
 
 
 def _in_stds(keys: Keys, errors: FloatArray, jacobian: FloatArray, std: float) -> Factors:

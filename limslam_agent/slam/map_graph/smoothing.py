@@ -154,7 +154,7 @@ def _graph(
     lost = float(keys.step_variances[:, 2].sum() + (trajectory.bias[0] * keys.driven) ** 2)
     has_axes = count > 0 and axes_factor > 0.0 and lost < _MOST_LOST**2
     graph = Graph(
-        Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2), axes=(int(has_axes), 1))
+        Nodes(poses=(len(keys), 3), errors=(1, ERRORS), walls=(count, 2), axes=(2 * has_axes, 1))
     )
     _add_odometry(graph, keys, trajectory)
     std = link_factor * math.hypot(_LINK_STD, keys.data.range_std)
@@ -172,7 +172,7 @@ def _graph(
         if has_axes:
             on_axes = wall_on_axes(lines, axes_factor * _AXES_STD)
             graph.add_robust(on_axes, geman_mcclure(_AXES_KERNEL))
-            graph.add(prior("axes", np.zeros((1, 1)), _WALL_PRIOR * np.eye(1)))
+            graph.add(prior("axes", np.zeros((2, 1)), _WALL_PRIOR * np.eye(1)))
     return graph
 
 
