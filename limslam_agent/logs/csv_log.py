@@ -244,8 +244,10 @@ def _log(rows: Rows, ranges: _Ranges, options: TableOptions) -> RecordedLog:
 def _time_unit(rows: Rows, spacing: float, options: TableOptions) -> tuple[str, list[str]]:
     """The unit of the times, and a note where their usual spacing has shown it."""
     unit = options.unit_of(rows.layout.column(Role.TIME))
-    if rows.has_calendar or unit or rows.rate:
-        return unit if unit and not (rows.has_calendar or rows.rate) else "s", []
+    if rows.has_calendar or rows.rate:
+        return "s", []
+    if unit:
+        return unit, []
     for unit, (low, high) in _SPACINGS.items():
         if low <= spacing < high:
             note = (

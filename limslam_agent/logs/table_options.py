@@ -71,7 +71,8 @@ class TableOptions:
         Unit of positions and travelled distances, ``m``, ``cm``, ``mm`` or ``in``. None takes the
         unit in the name, or else metres.
     wheel_radius
-        Radius of the wheels, m, which speeds of wheels in rad/s or turns a minute need.
+        Radius of the wheels, m. It is needed where a table has turns of the wheels in rad, or their
+        speeds in rad/s or turns a minute.
     rate
         How many rows there are in a second, in place of a column of times.
 

@@ -89,10 +89,10 @@ def point_on_wall(poses: FloatArray, cloud: PointCloud, walls: WallLines, std: f
 
 
 def wall_on_axes(walls: WallLines, std: float) -> Factors:
-    """Turns of walls from that of both axes of the building to which they are parallel.
+    """The turn of each wall from the axis of the building that is parallel to it.
 
-    The axes are about at right angles, where most points say so, and the turn of each is an
-    unknown. ``std`` (rad) is the standard deviation of each wall.
+    There are two axes, about at right angles, in the directions of most points. The turn of each
+    axis is an unknown. ``std`` (rad) is the standard deviation of a wall about its axis.
     """
     count = len(walls.angles)
     turns = np.exp(4j * walls.angles)
